@@ -1,0 +1,42 @@
+# Two commands do everything on a machine that has Python 3.11+ and make:
+#   make demo   the whole job on the simulated bench
+#   make test   style, types, floors and all tests
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed-from
+WANTED := $(shell cat requirements.lock pyproject.toml 2>/dev/null | cksum)
+
+.PHONY: demo test check lock clean $(VENV)
+
+demo: $(VENV)
+	$(BIN)/goniometer demo
+
+test: $(VENV)
+	@$(MAKE) --no-print-directory check
+	$(BIN)/python -m pytest
+
+check: $(VENV)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# The environment is rebuilt from nothing when the lock or pyproject.toml has changed, and left alone otherwise.
+$(VENV):
+	@if [ "$$(cat $(STAMP) 2>/dev/null)" != "$(WANTED)" ]; then set -e; \
+	  echo "Setting up $(VENV) from requirements.lock (about two minutes the first time)"; \
+	  $(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "goniometer needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; say which to use with make PYTHON=python3.12 ...")'; \
+	  rm -rf $(VENV); $(PYTHON) -m venv $(VENV); \
+	  $(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r requirements.lock; \
+	  $(BIN)/python -m pip install --disable-pip-version-check --no-deps --no-build-isolation -e .; \
+	  echo "$(WANTED)" > $(STAMP); \
+	fi
+
+# Writes the lock anew from pyproject.toml; it names packages, versions and hashes, never an address.
+lock: $(VENV)
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --extra dev \
+	  --no-header --no-annotate --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf $(VENV) demo

@@ -1,0 +1,1 @@
+"""Reflectance models, their fits, colour, exports and figures."""

@@ -1,0 +1,27 @@
+"""What can go wrong in analysis.
+
+AnalysisError
+├── OutOfRange     a wavelength or direction that a model or its data does not cover
+├── FitError       data that cannot be fitted
+└── ExportError    a result that cannot be written in the wanted format
+
+Every message is one sentence that says what is wrong, where, and what would be right.
+"""
+
+
+class AnalysisError(Exception):
+    """Base of everything that this floor raises."""
+
+    exit_code = 1
+
+
+class OutOfRange(AnalysisError):
+    """A wavelength or direction that a model or its data does not cover."""
+
+
+class FitError(AnalysisError):
+    """Data that cannot be fitted."""
+
+
+class ExportError(AnalysisError):
+    """A result that cannot be written in the wanted format."""

@@ -1,0 +1,1 @@
+"""Faces and wiring: the service and the command line."""

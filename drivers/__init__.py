@@ -1,0 +1,1 @@
+"""Device interfaces and the drivers of real instruments."""

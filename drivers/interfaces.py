@@ -1,0 +1,127 @@
+"""The three kinds of device on the bench, as the rest of the system sees them.
+
+Angles are degrees, times seconds, temperatures degrees Celsius. All methods raise `DriverError`.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from drivers.arrays import CountArray, FloatArray
+
+
+class StagePhase(Enum):
+    """What a rotation stage is doing."""
+
+    NOT_REFERENCED = "not referenced"
+    HOMING = "homing"
+    READY = "ready"
+    MOVING = "moving"
+    DISABLED = "disabled"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class StageState:
+    """A snapshot of a rotation stage."""
+
+    phase: StagePhase
+    position: float
+    """Angle, degrees; meaningless while the stage is not referenced."""
+    message: str = ""
+    """The device's own words about a fault; empty when there is none."""
+
+
+class RotationStage(Protocol):
+    """One motorised rotation axis."""
+
+    name: str
+    """How the operator calls it, e.g. "sample stage"."""
+    limits: tuple[float, float]
+    """Lowest and highest angle that may be commanded, degrees."""
+
+    async def open(self) -> None:
+        """Connect and check that the right device answers."""
+
+    async def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+
+    async def identity(self) -> str:
+        """Maker, model and firmware, as far as the device tells."""
+
+    async def state(self) -> StageState:
+        """What the stage is doing now."""
+
+    async def home(self) -> None:
+        """Find the reference mark and return when it is found."""
+
+    async def move_to(self, angle: float) -> float:
+        """Move to `angle` degrees, wait until the stage rests there, and return the angle it reads back.
+
+        Raises `DeviceRefused` outside `limits` before anything moves.
+        """
+
+    async def position(self) -> float:
+        """Angle now, degrees."""
+
+    async def stop(self) -> None:
+        """Stop moving at once; allowed from every state."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One read-out of the detector."""
+
+    counts: CountArray
+    """[pixels] raw counts."""
+    integration_time: float
+    """Seconds, as the device reports it for this very spectrum."""
+    count: int
+    """The device's own running number of spectra."""
+    detector_temperature: float
+    """Degrees Celsius."""
+
+
+class Spectrometer(Protocol):
+    """An array spectrometer."""
+
+    name: str
+    integration_limits: tuple[float, float]
+    """Shortest and longest integration time, seconds."""
+    saturation: int
+    """Counts at and above which a pixel is saturated."""
+
+    async def open(self) -> None:
+        """Connect, check the identity and bring the device into a known state."""
+
+    async def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+
+    async def identity(self) -> str:
+        """Maker, model and serial number."""
+
+    async def wavelengths(self) -> FloatArray:
+        """[pixels] nanometres, from the device's own coefficients."""
+
+    async def nonlinearity(self) -> FloatArray:
+        """[coefficients] of the polynomial c0 + c1 x + ... in dark-subtracted counts x.
+
+        A measured value is divided by the polynomial. A device whose coefficients are all zero has never
+        been characterised; the driver then returns [1.0].
+        """
+
+    async def expose(self, integration_time: float) -> Spectrum:
+        """Integrate once for `integration_time` seconds.
+
+        The spectrum was taken entirely after this call began, with exactly this integration time.
+        """
+
+
+class Light(Protocol):
+    """The halogen source and the shutter in front of it."""
+
+    async def set_lamp(self, on: bool) -> None:
+        """Switch the lamp."""
+
+    async def set_shutter(self, is_open: bool) -> None:
+        """Open or close the shutter; a closed shutter gives a dark signal."""

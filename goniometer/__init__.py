@@ -1,0 +1,1 @@
+"""What a measurement is and how one is run: geometry, campaign, plan, scheduler, calibration, store."""

@@ -1,0 +1,57 @@
+"""A calibrated in-plane spectral BRDF: what calibration makes and everything after it reads."""
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """In-plane BRDF of one sample; points first, wavelengths last. Blocked directions are absent."""
+
+    sample: str
+    """Name of the sample."""
+    theta_in: FloatArray
+    """[points] incident angle, degrees, as read back from the stages."""
+    theta_out: FloatArray
+    """[points] reflected angle, degrees, signed, as read back from the stages."""
+    wavelengths: FloatArray
+    """[wavelengths] nanometres, ascending: the mean of the detector pixels that were binned."""
+    brdf: FloatArray
+    """[points, wavelengths] 1/sr; NaN where no valid value exists (saturated pixels)."""
+    u_random: FloatArray
+    """[points, wavelengths] standard uncertainty from the point's own counts, 1/sr; independent everywhere."""
+    u_reference: FloatArray
+    """[points, wavelengths] standard uncertainty passed on by the noise of the reference scan, 1/sr;
+    independent between wavelengths, taken as fully correlated between the points of one incident angle."""
+    u_angle: float
+    """Standard uncertainty of one stage position, degrees; independent between moves of a stage."""
+    aperture: float
+    """Full angle of the detector aperture, degrees."""
+    saturated: BoolArray
+    """[points] whether some pixel stayed saturated at the shortest integration time."""
+    lineage: dict[str, object] = field(default_factory=dict)
+    """What it was derived from: run, exposures, reference scan, certificate, software version, settings."""
+
+    @property
+    def u(self) -> FloatArray:
+        """[points, wavelengths] combined standard uncertainty (coverage factor 1), 1/sr."""
+        return np.hypot(self.u_random, self.u_reference)
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of all numbers, so that a fit can say what exactly it was fitted to."""
+        digest = hashlib.sha256(self.sample.encode())
+        for array in (
+            self.theta_in,
+            self.theta_out,
+            self.wavelengths,
+            self.brdf,
+            self.u_random,
+            self.u_reference,
+        ):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return digest.hexdigest()

@@ -1,0 +1,76 @@
+"""What can go wrong with a measurement.
+
+GoniometerError
+├── InputError            what the user gave cannot be right (exit code 2)
+│   ├── CampaignError     a campaign file
+│   ├── ConfigurationError  an instrument file
+│   ├── GeometryError     an angle that the bench cannot take
+│   └── CertificateError  a reference certificate
+├── StoreError            the database
+│   ├── StoreBusy         another process is running on it
+│   ├── StoreFull         no room left on the disk
+│   └── NotInStore        what was asked for is not there (exit code 2)
+├── ExposureError         no valid exposure within the limits
+├── CalibrationError      raw data that cannot be calibrated
+└── RunAborted            the operator ended the run
+
+Every message is one sentence that says what is wrong, where, and what would be right.
+"""
+
+
+class GoniometerError(Exception):
+    """Base of everything that this floor raises."""
+
+    exit_code = 1
+
+
+class InputError(GoniometerError):
+    """What the user gave cannot be right."""
+
+    exit_code = 2
+
+
+class CampaignError(InputError):
+    """A campaign file that cannot be run."""
+
+
+class ConfigurationError(InputError):
+    """An instrument file that cannot be used."""
+
+
+class GeometryError(InputError):
+    """An angle that the bench cannot take."""
+
+
+class CertificateError(InputError):
+    """A reference certificate that cannot be used."""
+
+
+class StoreError(GoniometerError):
+    """The database refuses."""
+
+
+class StoreBusy(StoreError):
+    """Another process is running on this database."""
+
+
+class StoreFull(StoreError):
+    """There is no room left on the disk."""
+
+
+class NotInStore(StoreError):
+    """What was asked for is not in the database."""
+
+    exit_code = 2
+
+
+class ExposureError(GoniometerError):
+    """No valid exposure is possible within the limits."""
+
+
+class CalibrationError(GoniometerError):
+    """Raw data that cannot be calibrated."""
+
+
+class RunAborted(GoniometerError):
+    """The operator ended the run."""

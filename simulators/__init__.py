@@ -1,0 +1,1 @@
+"""Instruments that answer on the wire, and the optical bench behind them."""
