@@ -1,0 +1,124 @@
+"""What the analysis of one dataset gives: fits, verdicts and colour differences."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A fitted parameter."""
+
+    name: str
+    value: float
+    standard_error: float
+    """Standard uncertainty (coverage factor 1), propagated from the uncertainty of the measurement."""
+    unit: str
+    """"1" for a pure number, else e.g. "1/um"."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a fit may be believed, in words that a person can act on."""
+
+    trusted: bool
+    reasons: tuple[str, ...] = ()
+    """Whole sentences; empty only when `trusted`."""
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """Eq. 2, fitted to each spectrum on its own; all arrays [points] unless said otherwise."""
+
+    slope: FloatArray
+    """m, 1/um."""
+    u_slope: FloatArray
+    """Standard uncertainty of m, 1/um."""
+    exponent: FloatArray
+    """p, a pure number."""
+    scale: FloatArray
+    """a, the BRDF at lambda_n, 1/sr."""
+    r2: FloatArray
+    """Coefficient of determination of the spectrum."""
+    reliable: BoolArray
+    """False where the signal-to-noise ratio is too low or the optimiser stopped at a bound."""
+    fitted: FloatArray
+    """[points, wavelengths] the fitted spectra, 1/sr."""
+    lambda_n: float
+    """Normalisation wavelength, nm."""
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A model fitted to all points at once: the global model, Cook-Torrance, Cook-Torrance times shift."""
+
+    model: str
+    """"global", "cook-torrance" or "cook-torrance-shift"."""
+    equation: str
+    """The equation in words of the paper, e.g. "f = shift F G D / (4 cos_i cos_o), Eq. 7"."""
+    parameters: tuple[Parameter, ...]
+    correlation: FloatArray
+    """[parameters, parameters]"""
+    cost: str
+    """Name of what was minimised, e.g. "loew" or "weighted least squares of the local slopes"."""
+    cost_value: float
+    r2: float
+    verdict: Verdict
+    fitted: FloatArray
+    """[points, wavelengths] model values at the dataset's points, 1/sr."""
+    lambda_n: float
+    """Normalisation wavelength of the shift, nm."""
+    theta_range: tuple[float, float, float, float]
+    """Smallest and largest theta_in and theta_out of the fitted points, degrees."""
+    wavelength_range: tuple[float, float]
+    """Smallest and largest fitted wavelength, nm."""
+    clamped_points: int
+    """At how many of the dataset's points the shift was clamped at zero somewhere."""
+
+    def value(self, name: str) -> float:
+        """Value of the parameter called `name`; raises `KeyError`."""
+        return {p.name: p.value for p in self.parameters}[name]
+
+    def standard_error(self, name: str) -> float:
+        """Standard uncertainty of the parameter called `name`; raises `KeyError`."""
+        return {p.name: p.standard_error for p in self.parameters}[name]
+
+
+@dataclass(frozen=True)
+class ColourDifferences:
+    """CIEDE2000 differences between a model and the measurement, [points]."""
+
+    absolute: FloatArray
+    """On the values as they are, cos(theta_in) f under D65, white = D65 seen through f cos = 1."""
+    chromatic: FloatArray
+    """Both spectra normalised at lambda_n first."""
+
+    def statistics(self, kind: str = "absolute") -> dict[str, float]:
+        """Mean, median, p95 and max of "absolute" or "chromatic"; points without a value are left out."""
+        values = getattr(self, kind)
+        values = values[np.isfinite(values)]
+        return {
+            "mean": float(np.mean(values)),
+            "median": float(np.median(values)),
+            "p95": float(np.percentile(values, 95)),
+            "max": float(np.max(values)),
+        }
+
+
+@dataclass(frozen=True)
+class SampleAnalysis:
+    """Everything that is fitted when a scan ends."""
+
+    dataset: Dataset
+    local: LocalFit
+    models: tuple[ModelFit, ...]
+    """Global, Cook-Torrance, Cook-Torrance times shift, in this order."""
+    differences: dict[str, ColourDifferences]
+    """By model name, and "local"."""
+
+    def model(self, name: str) -> ModelFit:
+        """The fit of the model called `name`; raises `KeyError`."""
+        return {m.model: m for m in self.models}[name]
