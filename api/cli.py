@@ -1,10 +1,237 @@
-"""The command line."""
+"""The command line: thin faces over `api.service`.
 
+Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progress and messages to stderr.
+"""
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import click
 import typer
+from rich.console import Console
 
-app = typer.Typer(help="Drives a spectral gonioreflectometer, calibrates, fits and exports.", no_args_is_help=True)
+from analysis.errors import AnalysisError
+from api.demo import demo as run_demo
+from api.derive import Export
+from api.display import duration, progress_display
+from api.outcome import SampleOutcome, outcomes, remarks, table
+from api.preview import preview
+from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
+from api.service import Watch, active_scan, find_dataset, run
+from api.settings import load_instrument
+from drivers.errors import DriverError
+from goniometer.campaign import load_campaign
+from goniometer.errors import GoniometerError, InputError
+from goniometer.records import Command, Scan
+from goniometer.store import Store
+
+app = typer.Typer(
+    help="Drives a spectral gonioreflectometer, calibrates what it measures, fits the BRDF and exports it.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+screen = Console(stderr=True)
+
+CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (YAML or JSON).", show_default=False)]
+DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
+DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
+OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for fits, rendering files and reports.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+DATABASE = Path("goniometer.db")
+OUTPUT = Path("results")
 
 
-def main() -> None:
-    """Entry point of `goniometer`."""
-    app()
+def emit(content: object) -> None:
+    """Print one JSON object on stdout."""
+    json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
+    sys.stdout.write("\n")
+
+
+async def _ask_to_mount(scan: Scan) -> None:
+    what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
+    screen.print(f"Mount {what}, check that it lies flat against the holder, and press Enter.")
+    await asyncio.to_thread(sys.stdin.readline)
+
+
+@app.command()
+def demo(
+    output: OutputFolder = Path("demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated bench's noise.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
+    with progress_display(screen) as (show, note):
+        result = asyncio.run(run_demo(output, seed, Watch(show, note, _ask_to_mount)))
+    if as_json:
+        emit(asdict(result))
+        return
+    _show(result.samples)
+    Console().print(
+        f"Took {duration(result.seconds)} here; the bench would have needed {duration(result.bench_seconds)}."
+    )
+
+
+@app.command(name="run")
+def run_command(
+    campaign: CampaignFile,
+    database: DatabaseFile = DATABASE,
+    output: OutputFolder = OUTPUT,
+    instrument: Annotated[
+        Path | None, typer.Option(help="Instrument file (TOML); without it the simulated bench is used.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run a campaign, or resume it where it stood."""
+    wanted = load_campaign(campaign)
+    settings = load_instrument(instrument) if instrument else None
+    store = Store.open(database)
+    with progress_display(screen) as (show, note):
+        campaign_id = asyncio.run(run(store, wanted, output, settings, Watch(show, note, _ask_to_mount)))
+    samples = outcomes(store, campaign_id, truth=settings is None)
+    if as_json:
+        emit({"campaign": wanted.name, "database": str(database), "samples": [asdict(s) for s in samples]})
+        return
+    _show(samples)
+
+
+def _show(samples: list[SampleOutcome]) -> None:
+    out = Console()
+    out.print(table(samples))
+    for line in remarks(samples):
+        out.print(line, markup=False, highlight=False)
+
+
+@app.command()
+def plan(campaign: CampaignFile, as_json: AsJson = False) -> None:
+    """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
+    found = preview(load_campaign(campaign))
+    if as_json:
+        emit(asdict(found))
+        return
+    out = Console()
+    for line in found.lines():
+        out.print(line, markup=False, highlight=False)
+
+
+@app.command()
+def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
+    """What is in the database, and what is running."""
+    store = _existing(database)
+    found = [asdict(scan) for scan in store.scans()]
+    for entry in found:
+        points = store.points(entry["id"])
+        entry["points_done"] = sum(point.status == "done" for point in points)
+        entry["datasets"] = list(store.datasets(entry["id"]))
+    if as_json:
+        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found})
+        return
+    out = Console()
+    names = store.campaigns()
+    for entry in found:
+        state = entry["outcome"] or entry["phase"]
+        datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
+        line = f"{names[entry['campaign_id']]}: {entry['sample']}: {state}, {entry['points_done']} points{datasets}"
+        out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
+
+
+def _command(verb: Command) -> Callable[[Path, bool], None]:
+    def command(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
+        store = _existing(database)
+        scan = active_scan(store)
+        store.request(scan.id, verb)
+        if as_json:
+            emit({"scan": scan.id, "sample": scan.sample, "requested": verb})
+        else:
+            Console().print(f"Asked the scan of {scan.sample} to {verb}; it obeys after the exposure in hand.")
+
+    command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
+    return command
+
+
+for _verb in ("pause", "resume", "abort"):
+    app.command(name=_verb)(_command(_verb))
+
+
+@app.command()
+def fit(
+    dataset: DatasetName,
+    model: Annotated[str | None, typer.Option(help="Only this model: local, global, cook-torrance, ...")] = None,
+    database: DatabaseFile = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """Fit a dataset again and store the fits beside the earlier ones."""
+    store = _existing(database)
+    found = fit_dataset(store, find_dataset(store, dataset), model)
+    if as_json:
+        emit(found)
+        return
+    out = Console()
+    for line in fit_lines(found):
+        out.print(line, markup=False, highlight=False)
+
+
+@app.command()
+def export(
+    dataset: DatasetName,
+    to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3 and PBRT.")],
+    path: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
+    database: DatabaseFile = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """Write a dataset's fits, or its fitted model for a renderer, to a file."""
+    store = _existing(database)
+    _tell_export(export_dataset(store, find_dataset(store, dataset), to, path), as_json=as_json)
+
+
+@app.command()
+def report(
+    dataset: DatasetName,
+    path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,
+    database: DatabaseFile = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """Write the report of a dataset: one self-contained HTML file with all figures."""
+    store = _existing(database)
+    _tell_export(report_dataset(store, find_dataset(store, dataset), path), as_json=as_json)
+
+
+def _tell_export(written: Export, *, as_json: bool) -> None:
+    if as_json:
+        emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256})
+    else:
+        Console().print(f"Wrote {written.path}", markup=False, highlight=False)
+
+
+def _existing(database: Path) -> Store:
+    """The database, which must be there: a command that only reads makes no empty one."""
+    if "://" not in str(database) and not database.exists():
+        raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
+    return Store.open(database)
+
+
+def main() -> NoReturn:
+    """Entry point of `goniometer`: runs a command and turns typed errors into one line and an exit code."""
+    try:
+        app(standalone_mode=False)
+    except typer.Exit as ending:
+        sys.exit(ending.exit_code)
+    except click.ClickException as error:
+        _fail(error.format_message(), error.exit_code)
+    except (GoniometerError, AnalysisError) as error:
+        _fail(str(error), error.exit_code)
+    except DriverError as error:
+        _fail(str(error), 1)
+    except KeyboardInterrupt:
+        _fail("Stopped; run the same command again to go on where it stood.", 130)
+    sys.exit(0)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    screen.print(f"goniometer: {message}", style="bold red", markup=False, highlight=False, soft_wrap=True)
+    sys.exit(code)

@@ -1,0 +1,332 @@
+"""The figures of a report as SVG text, one panel each, so that a page can lay them side by side or one below another.
+
+Figure numbers are those of Clausen et al. 2022. Every function takes a `name` that is unique in the page.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.colour import brdf_to_rgb, display_encoded
+from analysis.models import cosine_slope
+from analysis.notation import with_uncertainty
+from analysis.propagation import incidence_groups
+from analysis.results import LocalFit, ModelFit
+from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
+from drivers.arrays import FloatArray
+from goniometer.dataset import Dataset
+from goniometer.geometry import BLOCKED_HALF_WIDTH
+
+SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#94790f")
+"""Anchors of the line colours: told apart by blue against yellow, which colour-blind eyes keep, and all of a
+luminance that stands out against a white page and against a black one."""
+
+COVERAGE = 2
+"""Coverage factor of every band and error bar."""
+
+_MAP_LIMITS = (-90.0, 90.0)
+_MISSING = "#80808026"
+_LEAST_SIGNAL = 10.0  # signal over standard uncertainty below which a hue or a single spectrum is noise
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How radiometric values become display colours."""
+
+    factor: float
+    """Linear RGB is multiplied by it; (1, 1, 1) is then f cos(theta_in) = 1 / factor."""
+    clipped: int
+    """How many of the measured points are brighter than the display."""
+
+
+def exposure_of(dataset: Dataset) -> Exposure:
+    """Exposure that maps the 95th percentile of the brightest channel to white."""
+    brightest = brdf_to_rgb(dataset.brdf, dataset.theta_in, dataset.wavelengths).max(axis=-1)
+    factor = 1 / float(np.nanpercentile(brightest, 95))
+    return Exposure(factor, int(np.sum(brightest * factor > 1)))
+
+
+def line_colours(count: int) -> list[str]:
+    """`count` colours along `SEQUENCE`."""
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415
+
+    ramp = LinearSegmentedColormap.from_list("sequence", SEQUENCE)
+    return [hex_colour(ramp(v)[:3]) for v in np.linspace(0, 1, max(count, 2))[:count]]
+
+
+def at_wavelength(dataset: Dataset, wavelength: float) -> tuple[FloatArray, FloatArray]:
+    """BRDF [points] and its standard uncertainty at `wavelength`, nm, interpolated between two neighbours, 1/sr."""
+    upper = int(np.clip(np.searchsorted(dataset.wavelengths, wavelength), 1, dataset.wavelengths.size - 1))
+    low, high = dataset.wavelengths[upper - 1 : upper + 1]
+    part = np.clip((wavelength - low) / (high - low), 0, 1)
+    value = (1 - part) * dataset.brdf[:, upper - 1] + part * dataset.brdf[:, upper]
+    u = np.hypot((1 - part) * dataset.u[:, upper - 1], part * dataset.u[:, upper])
+    return value, u
+
+
+# --- in-plane maps (Figs. 5, 8, 13) ----------------------------------------------------------------------------
+
+
+def cell_edges(theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+    """[points, 4] left, right, bottom and top of each point's cell in (theta_out, theta_in), degrees.
+
+    A cell reaches halfway to its neighbours of the same incident angle, not further than the blocked sector,
+    and at the end of a row as far as towards its only neighbour, 3 degrees at most.
+    """
+    groups = incidence_groups(theta_in)
+    rows = np.array([theta_in[groups == g].mean() for g in range(groups.max() + 1)])
+    bottoms, tops = _halfway(rows, 5.0)
+    edges = np.empty((theta_in.size, 4))
+    for g, row in enumerate(rows):
+        members = np.flatnonzero(groups == g)
+        for side in (theta_out[members] < -row, theta_out[members] >= -row):
+            chosen = members[side]
+            chosen = chosen[np.argsort(theta_out[chosen], kind="stable")]
+            if not chosen.size:
+                continue
+            left, right = _halfway(theta_out[chosen], 3.0)
+            if theta_out[chosen[0]] < -row:
+                right = np.minimum(right, -row - BLOCKED_HALF_WIDTH)
+            else:
+                left = np.maximum(left, -row + BLOCKED_HALF_WIDTH)
+            edges[chosen, 0], edges[chosen, 1] = left, right
+        edges[members, 2], edges[members, 3] = bottoms[g], tops[g]
+    return np.clip(edges, *_MAP_LIMITS)
+
+
+def _halfway(places: FloatArray, largest_end: float) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits of cells around ascending `places`."""
+    if places.size == 1:
+        return places - largest_end, places + largest_end
+    middle = 0.5 * (places[1:] + places[:-1])
+    first = min(middle[0] - places[0], largest_end)
+    last = min(places[-1] - middle[-1], largest_end)
+    return np.concatenate([[places[0] - first], middle]), np.concatenate([middle, [places[-1] + last]])
+
+
+def colour_map(
+    dataset: Dataset, values: FloatArray, exposure: Exposure | None, name: str, title: str, *, measured: bool = False
+) -> str:
+    """In-plane map of `values` [points, wavelengths], 1/sr, as colours under D65 (Fig. 5).
+
+    With `exposure` None every cell is shown at the same luminance, so that only its hue is left; cells whose
+    signal at 600 nm is below ten standard uncertainties stay pale then. Tooltips give
+    the angles and, for `measured` values, the BRDF at 600 nm with its standard uncertainty.
+    """
+    rgb = brdf_to_rgb(values, dataset.theta_in, dataset.wavelengths)
+    f, u = at_wavelength(dataset, 600.0)
+    if exposure is None:
+        luminance = rgb @ [0.2126, 0.7152, 0.0722]
+        rgb = 0.45 * rgb / np.where((luminance > 0) & (f > _LEAST_SIGNAL * u), luminance, np.nan)[:, None]
+    else:
+        rgb = rgb * exposure.factor
+    fills = [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]
+    extra = [f"f(600 nm) = {with_uncertainty(*pair)} 1/sr" if measured else "" for pair in zip(f, u, strict=True)]
+    return _map(dataset, fills, extra, name, title)
+
+
+def difference_map(dataset: Dataset, differences: FloatArray, largest: float, name: str, title: str) -> str:
+    """In-plane map of CIEDE2000 `differences` [points] on a scale from 0 to `largest` (Figs. 8, 13)."""
+    fills = [_scale_colour(v / largest) if np.isfinite(v) else _MISSING for v in differences]
+    extra = [f"dE00 = {v:.2f}" if np.isfinite(v) else "no value" for v in differences]
+    return _map(dataset, fills, extra, name, title)
+
+
+def difference_scale(largest: float, name: str) -> str:
+    """The colour bar that belongs to `difference_map`."""
+    with style():
+        figure, axes = new_axes(330, 46, left=20, right=20, bottom=30, top=4)
+        axes.set(xlim=(0, largest), ylim=(0, 1), yticks=[], xlabel="colour difference dE00 (1 is just noticeable)")
+        steps = np.linspace(0, largest, 65)
+        middle = 0.5 * (steps[1:] + steps[:-1]) / largest
+        cells = [Cell(a, b, 0, 1, _scale_colour(m), "") for a, b, m in zip(steps[:-1], steps[1:], middle, strict=True)]
+        return to_svg(figure, name, f"colour scale from 0 to {largest:g}", (axes, cells))
+
+
+def _scale_colour(share: float) -> str:
+    from matplotlib import colormaps  # noqa: PLC0415
+
+    return hex_colour(colormaps["cividis"](float(np.clip(share, 0, 1)))[:3])
+
+
+def _map(dataset: Dataset, fills: list[str], extra: list[str], name: str, title: str) -> str:
+    edges = cell_edges(dataset.theta_in, dataset.theta_out)
+    cells = [
+        Cell(
+            edge[0],
+            edge[1],
+            edge[2],
+            edge[3],
+            fill,
+            f"θ in {t_in:.1f}°, θ out {t_out:.1f}°{'; ' if more else ''}{more}",
+        )
+        for edge, fill, t_in, t_out, more in zip(
+            edges.tolist(), fills, dataset.theta_in, dataset.theta_out, extra, strict=True
+        )
+        if edge[1] > edge[0]
+    ]
+    groups = incidence_groups(dataset.theta_in)
+    low, high = float(edges[:, 2].min()), float(edges[:, 3].max())
+    with style():
+        figure, axes = new_axes(330, 235)
+        axes.set(xlim=_MAP_LIMITS, ylim=(low, high), title=title)
+        axes.set(xlabel="reflected angle θ out / °", ylabel="incident angle θ in / °", xticks=range(-90, 91, 30))
+        for g in range(groups.max() + 1):
+            centre = -float(dataset.theta_in[groups == g].mean())
+            bottom, top = edges[groups == g][0, 2:]
+            axes.fill_between(
+                [centre - BLOCKED_HALF_WIDTH, centre + BLOCKED_HALF_WIDTH],
+                bottom, top, facecolor="none", edgecolor=INK, hatch="/////", linewidth=0, alpha=0.55,
+            )  # fmt: skip
+        line = np.array([low, high])
+        for side, dashes in ((1, (4, 3)), (-1, (1.5, 2.5))):
+            # black on white, so that the line is seen on cells of any colour
+            axes.plot(side * line, line, color="white", linewidth=1)
+            axes.plot(side * line, line, color="black", linewidth=1, dashes=dashes)
+        label = f"{title}: {len(cells)} cells, reflected angle across, incident angle up"
+        return to_svg(figure, name, label, (axes, cells))
+
+
+# --- curves (Figs. 3, 6, 9) ------------------------------------------------------------------------------------
+
+
+def distributions(dataset: Dataset, name: str, wavelength: float = 600.0) -> str:
+    """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
+
+    Values that are not positive are left out; bands are expanded uncertainties. Gaps are the blocked sector.
+    """
+    f, u = at_wavelength(dataset, wavelength)
+    with style():
+        figure, axes = new_axes(430, 300, right=62, top=10)
+        for (angle, order), colour in _by_incidence(dataset):
+            theta, value, u_value = dataset.theta_out[order], f[order], u[order]
+            theta, value, u_value = _with_gap(-angle, theta, np.where(value > 0, value, np.nan), u_value)
+            low = np.maximum(value - COVERAGE * u_value, 0.5 * value)
+            axes.fill_between(theta, low, value + COVERAGE * u_value, color=colour, alpha=0.25, linewidth=0)
+            axes.plot(theta, value, color=colour, linewidth=1.2, marker="o", markersize=1.8, label=f"{angle:.0f}°")
+        axes.set(yscale="log", xlim=_MAP_LIMITS, xticks=range(-90, 91, 30))
+        axes.set(xlabel="reflected angle θ out / °", ylabel=f"BRDF at {wavelength:g} nm / (1/sr)")
+        axes.yaxis.set_major_formatter(_power_of_ten)
+        axes.grid(True)
+        axes.legend(title="θ in", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.2)
+        return to_svg(figure, name, f"BRDF at {wavelength:g} nm over the reflected angle, one line an incident angle")
+
+
+def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0, count: int = 7) -> str:
+    """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
+
+    Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with its expanded
+    uncertainty, lines the local fit. Spectra that are unreliable or weaker than ten standard uncertainties are
+    not chosen.
+    """
+    groups = incidence_groups(dataset.theta_in)
+    nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
+    clear = local.scale > _LEAST_SIGNAL * np.nanmedian(dataset.u, axis=1)
+    usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
+    usable = usable[np.argsort(dataset.theta_out[usable])]
+    directions = dataset.theta_out[usable]
+    wanted = np.linspace(directions.min(), directions.max(), count) if usable.size else directions
+    chosen = usable[np.unique(np.argmin(np.abs(directions[:, None] - wanted), axis=0))] if usable.size else usable
+    angle = float(dataset.theta_in[groups == nearest].mean())
+    scale = local.scale[chosen, None]
+    measured, u, fitted = (values[chosen] / scale for values in (dataset.brdf, dataset.u, local.fitted))
+    with style():
+        figure, axes = new_axes(430, 300, right=62, top=22)
+        for i, colour in enumerate(line_colours(chosen.size)):
+            low, high = measured[i] - COVERAGE * u[i], measured[i] + COVERAGE * u[i]
+            axes.fill_between(dataset.wavelengths, low, high, color=colour, alpha=0.4, linewidth=0)
+            axes.plot(dataset.wavelengths, fitted[i], color=colour, linewidth=1.3)
+        axes.axvline(local.lambda_n, color=INK, linewidth=0.6, alpha=0.5)
+        shortest, longest = float(dataset.wavelengths[0]), float(dataset.wavelengths[-1])
+        axes.set(xlim=(shortest, longest), title=f"θ in = {angle:.0f}°")
+        axes.set(xlabel="wavelength / nm", ylabel=f"BRDF, divided by its value at {local.lambda_n:g} nm")
+        axes.grid(True)
+        if chosen.size:  # the lines decide the scale, not the noise of the darkest spectrum
+            margin = max(0.12 * float(np.ptp(fitted)), 0.1)
+            axes.set_ylim(float(fitted.min()) - margin, float(fitted.max()) + margin)
+        else:
+            axes.text(0.5, 0.5, "no spectrum stands clear of its noise", transform=axes.transAxes, ha="center")
+        # labels stand at the ends of their lines, pushed apart where these meet
+        bottom, top = axes.get_ylim()
+        ends = _spread(fitted[:, -1], 0.05 * (top - bottom))
+        for end, colour, point in zip(ends, line_colours(chosen.size), chosen, strict=True):
+            text = f"{dataset.theta_out[point]:.0f}°".replace("-", "−")
+            axes.annotate(text, (longest, end), (4, 0), textcoords="offset points", color=colour, va="center")
+        axes.text(1.01, 1.03, "θ out", transform=axes.transAxes, va="bottom")
+        return to_svg(figure, name, f"normalised spectra at an incident angle of {angle:.0f} degrees with local fits")
+
+
+def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str) -> list[str]:
+    """One panel an incident angle: slope of every spectrum with its error bar, and a model's curve (Fig. 9).
+
+    `fit` is the global model or Cook-Torrance with shift. Error bars are expanded uncertainties; points that
+    the local fit calls unreliable are hollow and without bar. All panels share their axes.
+    """
+    offset = fit.value("t_y") if fit.model == "global" else 0.0
+    theta = np.linspace(-90, 90, 181)
+    sound = local.slope[local.reliable]
+    low, high = (float(np.percentile(sound, q)) for q in (0.5, 99.5)) if sound.size else (-1.0, 1.0)
+    margin = max(0.2 * (high - low), 0.1)
+    panels = []
+    for number, ((angle, order), _) in enumerate(_by_incidence(dataset)):
+        curve = cosine_slope(0.5 * np.abs(theta - angle), fit.value("h"), fit.value("w"), offset)
+        good, poor = order[local.reliable[order]], order[~local.reliable[order]]
+        with style():
+            figure, axes = new_axes(215, 150, left=40, right=8, bottom=34, top=18)
+            axes.axhline(0, color=INK, linewidth=0.6, alpha=0.5)
+            axes.axvspan(-angle - BLOCKED_HALF_WIDTH, -angle + BLOCKED_HALF_WIDTH, color=INK, alpha=0.1, linewidth=0)
+            axes.plot(theta, curve, color=SEQUENCE[-2], linewidth=1.5)
+            axes.errorbar(
+                dataset.theta_out[good], local.slope[good], COVERAGE * local.u_slope[good],
+                fmt="o", color=SEQUENCE[0], markersize=2.6, elinewidth=0.8,
+            )  # fmt: skip
+            axes.plot(
+                dataset.theta_out[poor], local.slope[poor],
+                "o", color=SEQUENCE[0], markersize=2.6, markerfacecolor="none", markeredgewidth=0.7,
+            )  # fmt: skip
+            axes.set(xlim=_MAP_LIMITS, ylim=(low - margin, high + margin), xticks=(-90, -45, 0, 45, 90))
+            axes.set(xlabel="θ out / °", ylabel="slope m / (1/µm)", title=f"θ in = {angle:.0f}°")
+            panels.append(to_svg(figure, f"{name}-{number}", f"slopes at an incident angle of {angle:.0f} degrees"))
+    return panels
+
+
+def _by_incidence(dataset: Dataset) -> list[tuple[tuple[float, NDArray[np.intp]], str]]:
+    """Mean incident angle, the points of it in order of theta_out, and a colour."""
+    groups = incidence_groups(dataset.theta_in)
+    count = int(groups.max()) + 1
+    rows = []
+    for g in range(count):
+        members = np.flatnonzero(groups == g)
+        rows.append((float(dataset.theta_in[members].mean()), members[np.argsort(dataset.theta_out[members])]))
+    return list(zip(rows, line_colours(count), strict=True))
+
+
+def _with_gap(centre: float, theta: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+    """Ascending `theta` and its values with a NaN at the blocked direction `centre`, so that lines break there."""
+    at = int(np.searchsorted(theta, centre))
+    return np.insert(theta, at, centre), *(np.insert(v, at, np.nan) for v in values)
+
+
+def _power_of_ten(value: float, _position: object) -> str:
+    """Tick of a logarithmic axis."""
+    return "10" + f"{round(np.log10(value))}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _spread(places: FloatArray, distance: float) -> FloatArray:
+    """`places` moved as little as keeps them `distance` apart, in their own order.
+
+    With the required distances taken off, this is an isotonic regression (pool adjacent violators).
+    """
+    order = np.argsort(places)
+    blocks: list[list[float]] = []  # sum and number of members
+    for i, place in enumerate(places[order]):
+        blocks.append([place - i * distance, 1])
+        while len(blocks) > 1 and blocks[-2][0] / blocks[-2][1] > blocks[-1][0] / blocks[-1][1]:
+            total, number = blocks.pop()
+            blocks[-1][0] += total
+            blocks[-1][1] += number
+    level = np.concatenate([np.full(int(number), total / number) for total, number in blocks])
+    moved = np.empty_like(places)
+    moved[order] = level + distance * np.arange(places.size)
+    return moved

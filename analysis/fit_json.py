@@ -1,0 +1,294 @@
+"""Fits as JSON: what was fitted, to what, how well, and enough to evaluate it again bit for bit.
+
+Strict JSON (RFC 8259). A number is written with as many digits as its reload needs. JSON knows no NaN and no
+infinity: NaN ("no value") is null, infinities are the strings "inf" and "-inf"; the reader turns them back.
+The refractive index is part of the file, so that a model does not change when a material database does.
+"""
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, cast
+
+import numpy as np
+
+from analysis.directions import in_plane
+from analysis.errors import ExportError
+from analysis.fresnel import Conductor, fresnel_conductor
+from analysis.models import cook_torrance, cosine_slope, shift, theta_m
+from analysis.results import ColourDifferences, LocalFit, ModelFit, Parameter, SampleAnalysis, Verdict
+from drivers.arrays import FloatArray
+from goniometer.dataset import Dataset
+from goniometer.errors import InputError
+from goniometer.geometry import Geometry
+
+FIT_SCHEMA = "goniometer-fit"
+ANALYSIS_SCHEMA = "goniometer-analysis"
+SCHEMA_VERSION = 1
+
+_NOTE = (
+    'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
+    "(coverage factor 1); angles in degrees, theta_out signed with the mirror direction at +theta_in, "
+    "wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
+)
+
+_LINE_BREAK = re.compile(r"\s*\n\s*")
+
+
+@dataclass(frozen=True)
+class StoredFit:
+    """A fit as it comes back from a file."""
+
+    model: str
+    """"global", "cook-torrance" or "cook-torrance-shift"."""
+    equation: str
+    parameters: tuple[Parameter, ...]
+    correlation: FloatArray
+    """[parameters, parameters]"""
+    verdict: Verdict
+    cost: str
+    cost_value: float
+    r2: float
+    lambda_n: float
+    """Normalisation wavelength, nm."""
+    theta_range: tuple[float, float, float, float]
+    """Smallest and largest theta_in and theta_out of the fitted points, degrees."""
+    wavelength_range: tuple[float, float]
+    """nm."""
+    clamped_points: int
+    """At how many points of the dataset the shift was clamped at zero."""
+    sample: str
+    dataset_hash: str
+    """SHA-256 of the dataset it was fitted to."""
+    points: int
+    aperture: float
+    """Full angle of the detector aperture that the fit took into account, degrees."""
+    colour_difference: dict[str, dict[str, float]]
+    """Mean, median, p95 and max CIEDE2000, "absolute" and "chromatic"."""
+    conductor: Conductor
+    software: str
+    """Version that wrote the file."""
+
+    def value(self, name: str) -> float:
+        """Value of the parameter called `name`; raises `KeyError`."""
+        return {p.name: p.value for p in self.parameters}[name]
+
+
+def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
+    """Values [points, wavelengths] of a stored model at in-plane directions [points], degrees, and nm.
+
+    1/sr for Cook-Torrance, without an aperture; for the global model a pure number, one at lambda_n (Eq. 3).
+    Raises `OutOfRange` beyond the conductor's table.
+    """
+    directions = in_plane(theta_in, theta_out)
+    if fit.model == "global":
+        n, k = fit.conductor.index(np.append(wavelengths, fit.lambda_n))
+        fresnel = fresnel_conductor(directions.cos_i[:, None], n, k)
+        slope = cosine_slope(theta_m(directions), fit.value("h"), fit.value("w"), fit.value("t_y"))
+        tilt = shift(slope, wavelengths, fit.lambda_n)
+        return np.asarray(tilt * (fresnel[:, :-1] / fresnel[:, -1:]) ** fit.value("p"))
+    h, w = (fit.value("h"), fit.value("w")) if fit.model == "cook-torrance-shift" else (0.0, 0.0)
+    return cook_torrance(directions, wavelengths, fit.value("alpha"), fit.conductor, h, w)
+
+
+def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
+    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with."""
+    return _text(_head(FIT_SCHEMA) | _fit_part(fit, dataset, differences) | {"conductor": _conductor_part(conductor)})
+
+
+def fit_from_json(text: str) -> StoredFit:
+    """A fit from what `fit_to_json` wrote, equal to it bit for bit.
+
+    Raises `InputError` if the text is no JSON, no fit, of another schema version, or incomplete.
+    """
+    document = _document(text, FIT_SCHEMA)
+    try:
+        return _stored_fit(document)
+    except KeyError as fault:
+        raise InputError(f"This fit file is incomplete: the field {fault} is missing.") from fault
+    except (TypeError, ValueError, AttributeError) as fault:
+        raise InputError(f"This fit file is damaged: a field does not hold what it should ({fault}).") from fault
+
+
+def analysis_to_json(analysis: SampleAnalysis, conductor: Conductor) -> str:
+    """Everything fitted to one dataset as JSON text: the local fit point by point, and all models.
+
+    Raises `ExportError` if the dataset's lineage holds something that JSON cannot.
+    """
+    dataset = analysis.dataset
+    return _text(
+        _head(ANALYSIS_SCHEMA)
+        | {
+            "dataset": {
+                "sample": dataset.sample,
+                "sha256": dataset.content_hash,
+                "points": int(dataset.theta_in.size),
+                "wavelengths_nm": dataset.wavelengths.tolist(),
+                "aperture_deg": dataset.aperture,
+                "u_stage_deg": dataset.u_angle,
+                "lineage": dataset.lineage,
+            },
+            "local": _local_part(analysis.local, dataset, analysis.differences["local"]),
+            "models": [_fit_part(fit, dataset, analysis.differences[fit.model]) for fit in analysis.models],
+            "conductor": _conductor_part(conductor),
+        }
+    )
+
+
+def _head(schema: str) -> dict[str, Any]:
+    return {
+        "schema": schema,
+        "schema_version": SCHEMA_VERSION,
+        "note": _NOTE,
+        "software": {"name": "goniometer", "version": version("goniometer")},
+    }
+
+
+def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
+    return {
+        "model": fit.model,
+        "equation": fit.equation,
+        "lambda_n_nm": fit.lambda_n,
+        "parameters": [
+            {"name": p.name, "value": p.value, "standard_error": p.standard_error, "unit": p.unit}
+            for p in fit.parameters
+        ],
+        "correlation": fit.correlation.tolist(),
+        "verdict": {"trusted": fit.verdict.trusted, "reasons": list(fit.verdict.reasons)},
+        "fitted_to": {
+            "sample": dataset.sample,
+            "dataset_sha256": dataset.content_hash,
+            "points": int(dataset.theta_in.size),
+            "aperture_deg": dataset.aperture,
+            "theta_in_deg": list(fit.theta_range[:2]),
+            "theta_out_deg": list(fit.theta_range[2:]),
+            "wavelength_nm": list(fit.wavelength_range),
+        },
+        "metrics": {
+            "cost": {"name": fit.cost, "value": fit.cost_value},
+            "r2": fit.r2,
+            "clamped_points": fit.clamped_points,
+            "dE00": {kind: differences.statistics(kind) for kind in ("absolute", "chromatic")},
+        },
+    }
+
+
+def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
+    pairs = zip(dataset.theta_in.tolist(), dataset.theta_out.tolist(), strict=True)
+    seen = ~np.array([Geometry(*pair).blocked for pair in pairs], dtype=bool)
+    return {
+        "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2",
+        "lambda_n_nm": local.lambda_n,
+        "theta_in_deg": dataset.theta_in[seen].tolist(),
+        "theta_out_deg": dataset.theta_out[seen].tolist(),
+        "m_per_um": local.slope[seen].tolist(),
+        "u_m_per_um": local.u_slope[seen].tolist(),
+        "p": local.exponent[seen].tolist(),
+        "a_per_sr": local.scale[seen].tolist(),
+        "r2": local.r2[seen].tolist(),
+        "reliable": local.reliable[seen].tolist(),
+        "dE00_absolute": differences.absolute[seen].tolist(),
+        "dE00_chromatic": differences.chromatic[seen].tolist(),
+    }
+
+
+def _conductor_part(conductor: Conductor) -> dict[str, Any]:
+    return {
+        "name": conductor.name,
+        "wavelength_nm": conductor.wavelengths.tolist(),
+        "n": conductor.n.tolist(),
+        "k": conductor.k.tolist(),
+    }
+
+
+def _stored_fit(document: dict[str, Any]) -> StoredFit:
+    fitted_to, metrics, conductor = document["fitted_to"], document["metrics"], document["conductor"]
+    low_in, high_in = (float(v) for v in fitted_to["theta_in_deg"])
+    low_out, high_out = (float(v) for v in fitted_to["theta_out_deg"])
+    shortest, longest = (float(v) for v in fitted_to["wavelength_nm"])
+    parameters = tuple(
+        Parameter(str(p["name"]), float(p["value"]), float(p["standard_error"]), str(p["unit"]))
+        for p in document["parameters"]
+    )
+    return StoredFit(
+        model=str(document["model"]),
+        equation=str(document["equation"]),
+        parameters=parameters,
+        correlation=np.array(document["correlation"], dtype=float).reshape(len(parameters), len(parameters)),
+        verdict=Verdict(bool(document["verdict"]["trusted"]), tuple(map(str, document["verdict"]["reasons"]))),
+        cost=str(metrics["cost"]["name"]),
+        cost_value=float(metrics["cost"]["value"]),
+        r2=float(metrics["r2"]),
+        lambda_n=float(document["lambda_n_nm"]),
+        theta_range=(low_in, high_in, low_out, high_out),
+        wavelength_range=(shortest, longest),
+        clamped_points=int(metrics["clamped_points"]),
+        sample=str(fitted_to["sample"]),
+        dataset_hash=str(fitted_to["dataset_sha256"]),
+        points=int(fitted_to["points"]),
+        aperture=float(fitted_to["aperture_deg"]),
+        colour_difference={
+            kind: {name: float(v) for name, v in values.items()} for kind, values in metrics["dE00"].items()
+        },
+        conductor=Conductor(
+            str(conductor["name"]),
+            np.array(conductor["wavelength_nm"], dtype=float),
+            np.array(conductor["n"], dtype=float),
+            np.array(conductor["k"], dtype=float),
+        ),
+        software=str(document["software"]["version"]),
+    )
+
+
+def _document(text: str, schema: str) -> dict[str, Any]:
+    """The JSON object of the wanted schema and version, with NaN where it says null."""
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant)
+    except ValueError as fault:
+        raise InputError(f"This is not a fit file: it is no valid JSON ({fault}).") from fault
+    if not isinstance(document, dict) or document.get("schema") != schema:
+        raise InputError(f'This is not a fit file: it should be a JSON object whose "schema" is "{schema}".')
+    if document.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"This fit file has schema version {document.get('schema_version')}; "
+            f"this software reads version {SCHEMA_VERSION}."
+        )
+    return cast(dict[str, Any], _with_nan(document))
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _with_nan(value: Any) -> Any:
+    """The same structure with NaN for null."""
+    if value is None:
+        return math.nan
+    if isinstance(value, dict):
+        return {key: _with_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(item) for item in value]
+    return value
+
+
+def _text(document: dict[str, Any]) -> str:
+    """Strict JSON, a list of numbers on one line so that a person can scroll through it."""
+    try:
+        text = json.dumps(_without_non_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
+    except TypeError as fault:
+        raise ExportError(f"The analysis cannot be written as JSON: {fault}.") from fault
+    # a line break never stands inside a JSON string, so this touches lists only
+    return re.sub(r"\[\n\s*([^\[\]{}]*?)\s*\n\s*\]", lambda list_: f"[{_LINE_BREAK.sub(' ', list_[1])}]", text) + "\n"
+
+
+def _without_non_finite(value: Any) -> Any:
+    """The same structure with NaN and infinities in their written form."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    if isinstance(value, dict):
+        return {key: _without_non_finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_non_finite(item) for item in value]
+    return value

@@ -1,0 +1,117 @@
+"""Whether the parameters of a fitted lobe are identified by the measurement, in sentences."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.results import Verdict
+from drivers.arrays import BoolArray
+from goniometer.dataset import Dataset
+
+LEAST_SHARE_ABOVE_NOISE = 0.25
+"""Share of points that must stand above the noise for a fit to be trusted."""
+
+LARGEST_RELATIVE_ERROR = 0.1
+"""Relative standard error beyond which alpha counts as undetermined."""
+
+NOTED_RESIDUAL_RATIO = 2.0
+"""Residuals larger than this many standard uncertainties are mentioned."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a fit of Cook-Torrance, with or without shift, knows of itself."""
+
+    dataset: Dataset
+    fitted: BoolArray
+    """[points] which points were fitted."""
+    alpha: float
+    u_alpha: float
+    u_alpha_from_angles: float
+    """The part of `u_alpha` that the uncertainty of the stages makes."""
+    residual_ratio: float
+    """Root mean square of residual over its standard uncertainty."""
+    scanned_alphas: tuple[float, float]
+    """Smallest and largest alpha that was scanned for a start."""
+    h: float | None
+    """1/um; None for a model without shift."""
+    u_h: float
+    shift_determined: bool
+    """False where w had to be fixed."""
+
+
+def lobe_width(alpha: float) -> float:
+    """Full width at half maximum of a GGX lobe in theta_out, degrees.
+
+    D falls to one half where tan(theta_m) = alpha sqrt(sqrt(2) - 1) (Walter et al. 2007, Eq. 33), and theta_m
+    changes half as fast as theta_out.
+    """
+    return 4 * math.degrees(math.atan(alpha * math.sqrt(math.sqrt(2) - 1)))
+
+
+def above_noise(dataset: Dataset) -> BoolArray:
+    """[points] whether the median signal of a spectrum exceeds its standard uncertainty; False without values."""
+    valid = np.isfinite(dataset.brdf) & np.isfinite(dataset.u) & (dataset.u > 0)
+    some = valid.any(axis=1)
+    ratio = np.full(dataset.brdf.shape, np.nan)
+    np.divide(dataset.brdf, dataset.u, out=ratio, where=valid)
+    result = np.zeros(some.size, dtype=bool)
+    result[some] = np.nanmedian(ratio[some], axis=1) >= 1
+    return result
+
+
+def judge(evidence: Evidence) -> Verdict:
+    """The verdict on a fit: what speaks against it first, then what a reader should know besides."""
+    against = [*_against_alpha(evidence), *_against_shift(evidence)]
+    return Verdict(not against, (*against, *_notes(evidence)))
+
+
+def _against_alpha(evidence: Evidence) -> list[str]:
+    dataset, reasons = evidence.dataset, []
+    width = lobe_width(evidence.alpha)
+    if width < dataset.aperture:
+        share = (evidence.u_alpha_from_angles / evidence.u_alpha) ** 2 if math.isfinite(evidence.u_alpha) else 0.0
+        reasons.append(
+            f"The lobe is {width:.2g} deg wide and the aperture {dataset.aperture:.2g} deg, so what was measured is "
+            f"mostly the aperture; {share:.0%} of the variance of alpha comes from stage errors of "
+            f"{dataset.u_angle:.2g} deg."
+        )
+    if evidence.u_alpha > LARGEST_RELATIVE_ERROR * evidence.alpha:
+        reasons.append(
+            f"alpha is known to {evidence.u_alpha / evidence.alpha:.0%} only; {LARGEST_RELATIVE_ERROR:.0%} would do."
+        )
+    low, high = evidence.scanned_alphas
+    if not low < evidence.alpha < high:
+        reasons.append(f"alpha = {evidence.alpha:.3g} lies outside the range {low:g} to {high:g} of surfaces known.")
+    bright = int(np.count_nonzero(above_noise(dataset) & evidence.fitted))
+    count = int(evidence.fitted.sum())
+    if bright < LEAST_SHARE_ABOVE_NOISE * count:
+        reasons.append(
+            f"Only {bright} of {count} points stand above the noise; {LEAST_SHARE_ABOVE_NOISE:.0%} would do."
+        )
+    return reasons
+
+
+def _against_shift(evidence: Evidence) -> list[str]:
+    if evidence.h is None or evidence.shift_determined:
+        return []
+    if abs(evidence.h) <= 3 * evidence.u_h:
+        return [
+            f"h = {evidence.h:.2g} ± {evidence.u_h:.1g} 1/um is compatible with zero, so there is no shift for w to "
+            "describe; w was fixed at 0."
+        ]
+    return ["The slope does not change measurably with theta_m, so w was fixed at 0 and h is a constant slope."]
+
+
+def _notes(evidence: Evidence) -> list[str]:
+    dataset, notes = evidence.dataset, []
+    saturated = int(dataset.saturated.sum())
+    if saturated:
+        notes.append(f"{saturated} of {dataset.saturated.size} points were saturated and left out.")
+    if evidence.residual_ratio > NOTED_RESIDUAL_RATIO:
+        notes.append(
+            f"The residuals are {evidence.residual_ratio:.2g} times the uncertainty of the measurement: the model "
+            "does not describe everything, and the standard errors cover the measurement only."
+        )
+    return notes

@@ -1,0 +1,235 @@
+"""Eq. 2 fitted to every spectrum on its own.
+
+f(lambda) = a (1 + m x) F_n^p with x = (lambda - lambda_n) / 1000 in um and F_n = F / F(lambda_n) at the incident
+angle. The scale a is free: dividing by the one sample at lambda_n instead would hand its noise to the slope.
+For a given p the model is linear in a and a m, so only p is searched (variable projection; Golub & Pereyra
+1973, with Kaufman's 1975 step), for all spectra at once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analysis.errors import FitError
+from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
+from analysis.models import LAMBDA_N, shift
+from analysis.results import LocalFit
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.dataset import Dataset
+
+EXPONENT_BOUNDS = (-5.0, 15.0)
+"""Between which p is searched."""
+
+LEAST_WAVELENGTHS = 5
+"""Valid wavelengths that a spectrum must have: three parameters and something left to judge them by."""
+
+_STARTS = np.linspace(*EXPONENT_BOUNDS, 9)
+_ITERATIONS = 80
+_TOLERANCE = 1e-11
+
+
+class _Spectra(NamedTuple):
+    """What the fit reads; wavelengths last."""
+
+    values: FloatArray
+    """[points, wavelengths] BRDF, 1/sr; 0 where there is none."""
+    root_weight: FloatArray
+    """[points, wavelengths] one over the standard uncertainty; 0 where there is no value."""
+    x: FloatArray
+    """[wavelengths] distance to lambda_n, um."""
+    log_fresnel: FloatArray
+    """[points, wavelengths] logarithm of F / F(lambda_n) at the incident angle."""
+
+    def take(self, points: BoolArray) -> "_Spectra":
+        return _Spectra(self.values[points], self.root_weight[points], self.x, self.log_fresnel[points])
+
+
+class _State(NamedTuple):
+    """Best linear parameters for given exponents; [points] but for the columns."""
+
+    scale: FloatArray
+    tilt: FloatArray
+    """a m, 1/(sr um)."""
+    cost: FloatArray
+    columns: FloatArray
+    """[points, 3, wavelengths] derivatives of the weighted model by a, a m and p."""
+    residual: FloatArray
+    """[points, wavelengths] weighted, measured minus model."""
+
+
+def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: float = LAMBDA_N) -> LocalFit:
+    """Fit Eq. 2 to every spectrum of `dataset`, weighted by its uncertainty; `conductor` is aluminium unless given.
+
+    The uncertainty of the slope follows from that of the measurement by the delta method. A spectrum with fewer
+    than five valid wavelengths gets NaN. Unreliable are saturated spectra, those whose median signal is
+    below their uncertainty, and those whose exponent stopped at a bound (-5, 15) or did not settle.
+    Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
+    """
+    spectra = _spectra(dataset, conductor or load_conductor(), lambda_n)
+    enough = np.count_nonzero(spectra.root_weight, axis=1) >= LEAST_WAVELENGTHS
+    if not enough.any():
+        raise FitError(
+            f"No spectrum of {dataset.sample} has {LEAST_WAVELENGTHS} wavelengths with a value and an uncertainty "
+            "above zero; check the calibration."
+        )
+    fitted_spectra = spectra.take(enough)
+    exponent, settled = _search_exponent(fitted_spectra)
+    state = _linear(fitted_spectra, exponent)
+    slope = _ratio(state.tilt, state.scale)
+    gain = _slope_and_exponent_gain(fitted_spectra, state, slope)
+    # `gain` acts on data in units of their own uncertainty, so the variance is its square sum
+    u_slope = np.sqrt(np.sum(gain[0] ** 2, axis=-1))
+
+    fitted = _model(state.scale, slope, exponent, fitted_spectra)
+    noise = np.where(fitted_spectra.root_weight > 0, fitted * fitted_spectra.root_weight, np.nan)
+    low, high = EXPONENT_BOUNDS
+    reliable = (
+        settled
+        & (np.nanmedian(noise, axis=1) >= 1)
+        & (exponent > low)
+        & (exponent < high)
+        & np.isfinite(u_slope)
+        & ~dataset.saturated[enough]
+    )
+
+    def at_all_points(values: FloatArray) -> FloatArray:
+        result = np.full((enough.size, *values.shape[1:]), np.nan)
+        result[enough] = values
+        return result
+
+    everywhere = np.zeros(enough.size, dtype=bool)
+    everywhere[enough] = reliable
+    return LocalFit(
+        slope=at_all_points(slope),
+        u_slope=at_all_points(u_slope),
+        exponent=at_all_points(exponent),
+        scale=at_all_points(state.scale),
+        r2=at_all_points(_r2(fitted_spectra, fitted)),
+        reliable=everywhere,
+        fitted=at_all_points(fitted),
+        lambda_n=lambda_n,
+    )
+
+
+def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor) -> FloatArray:
+    """[2, points, wavelengths] derivative of slope (1/um) and exponent by each BRDF value, at the fit's solution.
+
+    Zero where a value was not used, and at points that are not reliable. This is what passes errors that
+    points share (the reference scan's) on to whatever is made of the slopes.
+    """
+    used = local.reliable
+    spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
+    gain = np.zeros((2, *dataset.brdf.shape))
+    state = _linear(spectra, local.exponent[used])
+    gain[:, used] = _slope_and_exponent_gain(spectra, state, local.slope[used]) * spectra.root_weight
+    return gain
+
+
+def shifted_fresnel(
+    dataset: Dataset, scale: FloatArray, slope: FloatArray, exponent: FloatArray, conductor: Conductor, lambda_n: float
+) -> FloatArray:
+    """[points, wavelengths] a shift F_n^p (Eq. 3) for `scale`, `slope` (1/um) and `exponent`, all [points].
+
+    Unlike a local fit it is a model to be evaluated, so a negative shift is clamped at zero.
+    """
+    power = np.exp(exponent[:, None] * _spectra(dataset, conductor, lambda_n).log_fresnel)
+    return np.asarray(scale[:, None] * shift(slope, dataset.wavelengths, lambda_n) * power)
+
+
+def _spectra(dataset: Dataset, conductor: Conductor, lambda_n: float) -> _Spectra:
+    n, k = conductor.index(np.append(dataset.wavelengths, lambda_n))
+    fresnel = fresnel_conductor(np.cos(np.radians(dataset.theta_in))[:, None], n, k)
+    u = dataset.u
+    valid = np.isfinite(dataset.brdf) & np.isfinite(u) & (u > 0)
+    return _Spectra(
+        values=np.where(valid, dataset.brdf, 0.0),
+        root_weight=np.where(valid, 1 / np.where(valid, u, 1.0), 0.0),
+        x=(dataset.wavelengths - lambda_n) * 1e-3,
+        log_fresnel=np.log(fresnel[:, :-1] / fresnel[:, -1:]),
+    )
+
+
+def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+    """Element-wise ratio, NaN where the denominator is zero."""
+    return np.asarray(np.divide(numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator != 0))
+
+
+def _model(scale: FloatArray, slope: FloatArray, exponent: FloatArray, spectra: _Spectra) -> FloatArray:
+    power = np.exp(exponent[:, None] * spectra.log_fresnel)
+    return np.asarray(scale[:, None] * (1 + slope[:, None] * spectra.x) * power)
+
+
+def _linear(spectra: _Spectra, exponent: FloatArray) -> _State:
+    """Solve for scale and tilt at given exponents [points]: two normal equations a spectrum, in closed form."""
+    first = np.exp(exponent[:, None] * spectra.log_fresnel) * spectra.root_weight
+    second = first * spectra.x
+    target = spectra.values * spectra.root_weight
+    aa, ab, bb = (np.einsum("pw,pw->p", u, v) for u, v in ((first, first), (first, second), (second, second)))
+    at, bt = np.einsum("pw,pw->p", first, target), np.einsum("pw,pw->p", second, target)
+    determinant = aa * bb - ab**2
+    scale, tilt = (bb * at - ab * bt) / determinant, (aa * bt - ab * at) / determinant
+    model = scale[:, None] * first + tilt[:, None] * second
+    residual = target - model
+    columns = np.stack([first, second, model * spectra.log_fresnel], axis=1)
+    return _State(scale, tilt, np.einsum("pw,pw->p", residual, residual), columns, residual)
+
+
+def _inverse_normal(columns: FloatArray) -> FloatArray:
+    """[points, 3, 3] inverse normal matrices, scaled to a unit diagonal first; NaN where singular."""
+    normal = columns @ columns.transpose(0, 2, 1)
+    size = np.sqrt(np.einsum("pii->pi", normal))
+    solvable = np.all(size > 0, axis=1)
+    size = np.where(solvable[:, None], size, 1.0)
+    scaled = normal / (size[:, :, None] * size[:, None, :])
+    # a correlation within 1e-13 of one is beyond double precision
+    solvable &= np.linalg.det(scaled) > 1e-13
+    scaled[~solvable] = np.eye(3)
+    inverse = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
+    inverse[~solvable] = np.nan
+    return np.asarray(inverse)
+
+
+def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
+    """[points] best exponents within the bounds, and whether the search settled.
+
+    Starts from the best of nine exponents, so that a second minimum does not catch it; then Gauss-Newton steps,
+    halved wherever they do not lower the cost.
+    """
+    costs = np.stack([_linear(spectra, np.full(spectra.values.shape[0], p)).cost for p in _STARTS])
+    exponent = _STARTS[np.argmin(costs, axis=0)]
+    settled = np.zeros(exponent.size, dtype=bool)
+    state = _linear(spectra, exponent)
+    for _ in range(_ITERATIONS):
+        here = exponent[~settled]
+        gradient = np.einsum("pkw,pw->pk", state.columns, state.residual)
+        step = np.nan_to_num(np.einsum("pk,pk->p", _inverse_normal(state.columns)[:, 2], gradient))
+        step = np.clip(here + step, *EXPONENT_BOUNDS) - here
+        trial = _linear(spectra, here + step)
+        # the cost of a step below a millionth is lost in rounding, so such a step is taken as it is
+        while np.any(worse := (trial.cost > state.cost) & (np.abs(step) > 1e-6)):
+            step = np.where(worse, 0.5 * step, step)
+            trial = _linear(spectra, here + step)
+        exponent[~settled] = here + step
+        going = np.abs(step) >= _TOLERANCE
+        settled[~settled] = ~going
+        if not going.any():
+            break
+        spectra, state = spectra.take(going), _State(*(values[going] for values in trial))
+    return exponent, settled
+
+
+def _slope_and_exponent_gain(spectra: _Spectra, state: _State, slope: FloatArray) -> FloatArray:
+    """[2, points, wavelengths] derivative of slope and exponent by the weighted data."""
+    gain = _inverse_normal(state.columns) @ state.columns
+    of_slope = _ratio(gain[:, 1] - slope[:, None] * gain[:, 0], np.broadcast_to(state.scale[:, None], gain[:, 0].shape))
+    return np.stack([of_slope, gain[:, 2]])
+
+
+def _r2(spectra: _Spectra, fitted: FloatArray) -> FloatArray:
+    """[points] coefficient of determination over the valid wavelengths, unweighted; NaN for a constant spectrum."""
+    valid = spectra.root_weight > 0
+    count = valid.sum(axis=1)
+    mean = spectra.values.sum(axis=1) / count
+    around = np.where(valid, spectra.values - mean[:, None], 0.0)
+    left = np.where(valid, spectra.values - fitted, 0.0)
+    return 1 - _ratio(np.sum(left**2, axis=1), np.sum(around**2, axis=1))

@@ -1,0 +1,137 @@
+"""Figures as SVG text that stands in a page: ink follows the page's text colour, nothing else is assumed.
+
+Drawn with matplotlib's object interface. All ink is one sentinel colour that becomes `currentColor`, the
+background is transparent, text stays text in the page's own font, ids are made unique, and what is drawn
+cell by cell is written here directly, with a `<title>` that a browser shows as a tooltip.
+"""
+
+import io
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
+
+INK = "#010203"
+"""The sentinel that becomes `currentColor`."""
+
+_CELLS = "cells-stand-here"
+_STYLE: "dict[RcKeyType, Any]" = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",  # measured in the widest of the usual fonts, so that no page's font is clipped
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 9.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "grid.color": INK,
+    "grid.alpha": 0.14,
+    "grid.linewidth": 0.6,
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.unicode_minus": True,
+    "hatch.linewidth": 0.6,
+    "figure.dpi": 72.0,  # one SVG unit is one point
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A filled rectangle in data coordinates."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+    fill: str
+    """CSS colour."""
+    title: str
+    """Tooltip; may be empty."""
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Within it a figure is drawn; matplotlib's settings are as before afterwards."""
+    from matplotlib import rc_context  # noqa: PLC0415  (takes a second)
+
+    with rc_context(_STYLE):
+        yield
+
+
+def new_axes(
+    width: float, height: float, *, left: float = 46, right: float = 10, bottom: float = 36, top: float = 22
+) -> tuple["Figure", "Axes"]:
+    """A transparent figure of `width` x `height` points with one axes inside the given margins, points."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(width / 72, height / 72), facecolor="none")
+    box = (left / width, bottom / height, 1 - (left + right) / width, 1 - (bottom + top) / height)
+    return figure, figure.add_axes(box, facecolor="none")
+
+
+def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequence[Cell]] | None = None) -> str:
+    """The figure as one `<svg>` element. `name` makes its ids unique in a page, `label` is read to the blind.
+
+    `cells` are drawn beneath the lines of their axes. Call it within `style`.
+    """
+    from matplotlib import rc_context  # noqa: PLC0415
+
+    if cells is not None:
+        cells[0].plot([], [], zorder=0.5, gid=_CELLS)
+    page = io.StringIO()
+    with rc_context({"svg.hashsalt": name}):
+        figure.savefig(page, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    text = page.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<!--.*?-->|<style.*?</style>|<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"font-family: [^;\"]*;? ?", "", text).replace(INK, "currentColor")
+    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)
+    text = _unique_ids(text, name)
+    if cells is not None:
+        drawn = "\n".join(_rectangle(cells[0], cell, figure.bbox.height) for cell in cells[1])
+        text = text.replace(f'<g id="{_CELLS}"/>', f'<g shape-rendering="crispEdges">\n{drawn}\n</g>')
+    view = f"0 0 {figure.bbox.width:g} {figure.bbox.height:g}"
+    opening = f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="{view}" '
+    text = opening + f'role="img" aria-label="{escape(label)}">' + text[text.index(">") + 1 :]
+    return re.sub(r"\s*\n\s*", "\n", text).strip()
+
+
+def hex_colour(rgb: Iterable[float]) -> str:
+    """CSS colour of three display-encoded values in [0, 1]."""
+    return "#" + "".join(f"{round(255 * min(max(v, 0.0), 1.0)):02x}" for v in rgb)
+
+
+def _rectangle(axes: "Axes", cell: Cell, height: float) -> str:
+    """The cell as `<rect>`; SVG's y axis points down."""
+    x0, y0 = axes.transData.transform((cell.left, cell.bottom))
+    x1, y1 = axes.transData.transform((cell.right, cell.top))
+    # a hair wider than it is, or the page shows through between two cells
+    place = f'x="{x0:.2f}" y="{height - y1:.2f}" width="{x1 - x0 + 0.25:.2f}" height="{y1 - y0:.2f}"'
+    title = f"<title>{escape(cell.title)}</title>" if cell.title else ""
+    return f'<rect {place} fill="{cell.fill}">{title}</rect>'
+
+
+def _unique_ids(text: str, name: str) -> str:
+    """Keep only ids that something refers to, and prefix them with `name`."""
+    used = set(re.findall(r'(?:url\(|href=")#([^)"]+)', text))
+
+    def renamed(found: re.Match[str]) -> str:
+        if found[1] == _CELLS:
+            return found[0]
+        return f' id="{name}-{found[1]}"' if found[1] in used else ""
+
+    text = re.sub(r' id="([^"]+)"', renamed, text)
+    return re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", text)

@@ -1,0 +1,62 @@
+"""The whole job on the simulated bench: Samples 1, 4 and the mirror from the wire to the report."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from api.derive import make_folder
+from api.outcome import SampleOutcome, outcomes
+from api.service import Watch, run
+from goniometer.campaign import Campaign, Sample
+from goniometer.store import Store
+
+SAMPLES = (
+    Sample(
+        name="Sample 1",
+        material="sample-1",
+        description="Sandblasted aluminium AlMg3, rms roughness 2.39 um",
+        preparation="Glass beads of 70-100 um at 6.5 bar from 100 mm",
+    ),
+    Sample(
+        name="Sample 4",
+        material="sample-4",
+        description="Sandblasted aluminium AlMg3, rms roughness 0.98 um",
+        preparation="Glass beads of 70-100 um at 2 bar from 100 mm",
+    ),
+    Sample(
+        name="Mirror",
+        material="mirror",
+        description="Polished aluminium AlMg3 (Sample 6), rms roughness 0.10 um",
+        preparation="Polished, not sandblasted",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demo came to."""
+
+    database: str
+    seed: int
+    seconds: float
+    """Real time of this call."""
+    bench_seconds: float
+    """Time that the points of the samples took on the simulated bench."""
+    samples: list[SampleOutcome]
+
+
+async def demo(output: Path, seed: int, watch: Watch) -> DemoResult:
+    """Run or resume the demo in the folder `output`; when it is complete, only its results are shown.
+
+    Raises what `api.service.run` raises; `CampaignError` when `output` holds a demo with another seed.
+    """
+    began = time.monotonic()
+    make_folder(output)
+    database = output / "goniometer.db"
+    store = Store.open(database)
+    campaign = Campaign(name="Demo", seed=seed, samples=SAMPLES)
+    campaign_id = await run(store, campaign, output, None, watch)
+    samples = outcomes(store, campaign_id, truth=True)
+    store.close()
+    bench_seconds = sum(sample.bench_seconds for sample in samples)
+    return DemoResult(str(database), seed, time.monotonic() - began, bench_seconds, samples)

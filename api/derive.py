@@ -1,0 +1,123 @@
+"""What is made of a calibrated dataset: fits, files and a report; runs in a process of its own."""
+
+import hashlib
+import multiprocessing
+import os
+import re
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from analysis.analyse import analyse
+from analysis.export_mitsuba import BsdfReport, write_fit
+from analysis.fit_json import analysis_to_json, fit_to_json
+from analysis.fresnel import load_conductor
+from analysis.report import RunFacts, write_report
+from analysis.results import SampleAnalysis
+from goniometer.dataset import Dataset
+from goniometer.errors import StoreFull
+
+RENDERED_MODEL = "cook-torrance-shift"
+"""The model that goes to the renderer."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """A file that was written."""
+
+    file_format: str
+    """"json", "mitsuba" or "report"."""
+    path: Path
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Everything derived from one dataset."""
+
+    fits: dict[str, str]
+    """Model -> JSON; "analysis" holds all of them together with the local fit."""
+    exports: tuple[Export, ...]
+
+
+def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
+    """Fit `dataset` and write `fit-*.json`, `analysis.json`, the `.bsdf` and `report.html` into `folder`.
+
+    Raises `AnalysisError` for data that cannot be fitted or written, and `StoreFull` where the disk is full.
+    """
+    conductor = load_conductor()
+    analysis = analyse(dataset, conductor)
+    fits = {fit.model: fit_to_json(fit, dataset, analysis.differences[fit.model], conductor) for fit in analysis.models}
+    fits["analysis"] = analysis_to_json(analysis, conductor)
+    make_folder(folder)
+    exports = [write_text("json", folder / f"{model}.json", text) for model, text in fits.items()]
+    bsdf, export = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
+    exports.append(export)
+    files = tuple((e.path.name, _CONTENT[e.file_format]) for e in exports)
+    exports.append(write_analysis_report(folder / "report.html", analysis, replace(facts, files=files, bsdf=bsdf)))
+    return Derived(fits, tuple(exports))
+
+
+_CONTENT = {
+    "json": "fitted parameters with their uncertainties, in JSON",
+    "mitsuba": "the fitted model for Mitsuba 3 and PBRT",
+}
+
+
+def write_text(file_format: str, path: Path, text: str) -> Export:
+    """Write a text."""
+    return _written(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> Export:
+    """Write the HTML report of an analysis."""
+    return _written("report", path, lambda part: write_report(part, analysis, facts))
+
+
+def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export]:
+    """Write the rendered model of an analysis as a Mitsuba `.bsdf`."""
+    reports: list[BsdfReport] = []
+    fit = analysis.model(RENDERED_MODEL)
+    export = _written(
+        "mitsuba", path, lambda part: reports.append(write_fit(part, fit, analysis.dataset, load_conductor()))
+    )
+    return replace(reports[0], path=path), export
+
+
+def slug(sample: str) -> str:
+    """A file name for a sample: lower case, words joined by hyphens."""
+    return re.sub(r"[^a-z0-9]+", "-", sample.lower()).strip("-") or "sample"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results; raises `StoreFull` where the disk refuses."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreFull(f"{folder} cannot be made: {error.strerror}; make room or name another folder.") from error
+
+
+def _written(file_format: str, path: Path, write: Callable[[Path], object]) -> Export:
+    """Let `write` fill a file beside `path` and put it in place in one step, so that no half file is ever seen."""
+    part = path.with_name(path.name + ".part")
+    try:
+        write(part)
+        os.replace(part, path)
+        content = path.read_bytes()
+    except OSError as error:
+        raise StoreFull(f"{path} cannot be written: {error.strerror}; make room and run again.") from error
+    return Export(file_format, path, hashlib.sha256(content).hexdigest())
+
+
+def end_with_parent() -> None:
+    """End this worker when the process that started it is gone, however it went; call it once in a worker."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

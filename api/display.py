@@ -1,0 +1,93 @@
+"""What an operator sees while a campaign runs: a line per scan on a terminal, plain lines in a log."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import Progress as Bars
+
+from goniometer.progress import Progress
+
+LOG_INTERVAL = 5.0
+"""Seconds between two lines of progress in a log."""
+
+Show = Callable[[Progress], None]
+Note = Callable[[str], None]
+
+
+def duration(seconds: float | None) -> str:
+    """A time as a person says it; "?" when unknown.
+
+    >>> duration(3900), duration(75), duration(12.4), duration(None)
+    ('1 h 05 min', '1 min 15 s', '12 s', '?')
+    """
+    if seconds is None:
+        return "?"
+    whole = round(seconds)
+    if whole >= 3600:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    if whole >= 60:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole} s"
+
+
+@contextmanager
+def progress_display(console: Console) -> Iterator[tuple[Show, Note]]:
+    """A function that shows progress and one that shows a sentence, on `console`, until the context ends."""
+    if console.is_terminal:
+        with _bars(console) as display:
+            yield display
+    else:
+        yield _lines(console), console.print
+
+
+@contextmanager
+def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.completed:>4.0f} of {task.total:.0f} points"),
+        TextColumn("{task.fields[state]}"),
+    )
+    with Bars(*columns, console=console) as bars:
+        tasks: dict[int, TaskID] = {}
+
+        def show(progress: Progress) -> None:
+            if progress.scan_id not in tasks:
+                tasks[progress.scan_id] = bars.add_task(progress.sample, state="")
+            bars.update(
+                tasks[progress.scan_id],
+                completed=progress.done,
+                total=max(progress.expected, progress.done),
+                state=_state(progress),
+            )
+
+        yield show, bars.console.print
+
+
+def _lines(console: Console) -> Show:
+    last: dict[int, tuple[float, str]] = {}
+
+    def show(progress: Progress) -> None:
+        since, phase = last.get(progress.scan_id, (-LOG_INTERVAL, ""))
+        if phase == progress.phase and time.monotonic() - since < LOG_INTERVAL:
+            return
+        last[progress.scan_id] = time.monotonic(), progress.phase
+        console.print(
+            f"{progress.sample}: {progress.done} of about {progress.expected} points, "
+            f"{100 * progress.fraction:.0f} %, {_state(progress)}"
+        )
+
+    return show
+
+
+def _state(progress: Progress) -> str:
+    """Time left, or how it ended."""
+    if progress.phase == "finished":
+        return f"finished, {duration(progress.bench_elapsed)} on the bench"
+    if progress.phase != "running":
+        return progress.phase
+    return f"{duration(progress.remaining)} left ({duration(progress.bench_remaining)} on the bench)"

@@ -1,0 +1,170 @@
+"""What a campaign came to: one summary per sample, read from the database alone.
+
+The table on the screen, `--json` and the tests all show this, so that a resumed run and an uninterrupted one
+can be compared number by number.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from analysis.notation import with_uncertainty
+from analysis.results import ColourDifferences
+from goniometer.plan import plan_spec, uniform_grid_size
+from goniometer.records import Scan
+from goniometer.store import Store
+from simulators.materials import SAMPLES, material
+
+MODEL_NAMES = {
+    "local": "local fit (Eq. 2)",
+    "global": "global fit (Eq. 3-5)",
+    "cook-torrance": "Cook-Torrance (Eq. 6)",
+    "cook-torrance-shift": "with shift (Eq. 7)",
+}
+
+
+@dataclass(frozen=True)
+class SampleOutcome:
+    """One sample of a campaign, as far as it has come."""
+
+    sample: str
+    material: str
+    phase: str
+    outcome: str | None
+    """completed, aborted or failed; None while the scan goes on."""
+    reason: str
+    points: int
+    """Measured points."""
+    failed_points: int
+    uniform_1_degree_points: int
+    """How many points a uniform grid of 1 degree in theta_out would have needed."""
+    bench_seconds: float
+    """Time that the points took on the bench."""
+    dataset_id: int | None
+    dE00: dict[str, dict[str, dict[str, float]]]  # noqa: N815  (the field's own spelling)
+    """Model -> "absolute" or "chromatic" -> mean, median, p95, max."""
+    parameters: dict[str, list[dict[str, Any]]]
+    """Model -> name, value, standard_error, unit of each parameter; "true" beside them on the simulated bench."""
+    trusted: dict[str, bool]
+    """Model -> whether its fit may be believed."""
+    reasons: dict[str, list[str]]
+    """Model -> the sentences of the verdict."""
+    files: list[str]
+    """Paths of what was written: fits, rendering file, report."""
+
+
+def outcomes(store: Store, campaign_id: int, *, truth: bool) -> list[SampleOutcome]:
+    """All samples of a campaign, in its order; `truth` adds what the simulated bench knows."""
+    spec = plan_spec(store.campaign(campaign_id))
+    uniform = uniform_grid_size(spec)
+    return [_outcome(store, scan, uniform, truth=truth) for scan in store.scans(campaign_id) if scan.kind == "sample"]
+
+
+def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOutcome:
+    points = store.points(scan.id)
+    datasets = store.datasets(scan.id)
+    dataset_id = max(datasets, default=None)
+    analysis: dict[str, Any] = {}
+    files: list[str] = []
+    if dataset_id is not None:
+        texts = {fit.kind: fit.text for fit in store.fits(dataset_id)}
+        analysis = json.loads(texts.get("analysis", "{}"))
+        files = list(dict.fromkeys(export.text for export in store.exports(dataset_id)))
+    models = {model["model"]: model for model in analysis.get("models", [])}
+    differences = {name: model["metrics"]["dE00"] for name, model in models.items()}
+    if analysis:
+        differences = {"local": _local_differences(analysis["local"])} | differences
+    return SampleOutcome(
+        sample=scan.sample,
+        material=scan.material,
+        phase=scan.phase,
+        outcome=scan.outcome,
+        reason=scan.reason,
+        points=sum(point.status == "done" for point in points),
+        failed_points=sum(point.status == "failed" for point in points),
+        uniform_1_degree_points=uniform,
+        bench_seconds=sum(point.seconds for point in points),
+        dataset_id=dataset_id,
+        dE00=differences,
+        parameters={
+            name: [p | _true_value(scan.material, p["name"], name, known=truth) for p in model["parameters"]]
+            for name, model in models.items()
+        },
+        trusted={name: model["verdict"]["trusted"] for name, model in models.items()},
+        reasons={name: model["verdict"]["reasons"] for name, model in models.items()},
+        files=files,
+    )
+
+
+def _local_differences(local: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Statistics of the local fit, whose differences are stored point by point; null is a point without value."""
+    found = ColourDifferences(*(np.array(local[f"dE00_{kind}"], dtype=float) for kind in ("absolute", "chromatic")))
+    return {kind: found.statistics(kind) for kind in ("absolute", "chromatic")}
+
+
+def _true_value(name: str, parameter: str, model: str, *, known: bool) -> dict[str, float]:
+    """What the simulated bench put into a parameter, if it knows."""
+    if not known or model not in {"cook-torrance", "cook-torrance-shift"}:
+        return {}
+    lying = material(name)
+    return {"true": getattr(lying, parameter)} if lying.name in SAMPLES else {}
+
+
+def table(samples: list[SampleOutcome]) -> Table:
+    """The paper's Table 2 for these samples, with what it took and what was found."""
+    shown = Table(title="Mean CIEDE2000 difference between measurement and fit", title_justify="left")
+    shown.add_column("Sample", no_wrap=True)
+    shown.add_column("Points\n(1° grid)", justify="right")
+    shown.add_column("Cook-Torrance\nabsolute / chromatic", justify="right")
+    shown.add_column("with shift\nabsolute / chromatic", justify="right")
+    shown.add_column("alpha, h in 1/µm, w\nk = 1 (true value)")
+    shown.add_column("Trusted")
+    for sample in samples:
+        fits = [
+            " / ".join(f"{sample.dE00[model][kind]['mean']:.2f}" for kind in ("absolute", "chromatic"))
+            if model in sample.dE00
+            else "-"
+            for model in ("cook-torrance", "cook-torrance-shift")
+        ]
+        parameters = "\n".join(
+            f"{p['name']} = {_with_error(p)}" + (f" ({p['true']:g})" if "true" in p else "")
+            for p in sample.parameters.get("cook-torrance-shift", [])
+        )
+        trusted = sample.trusted.get("cook-torrance-shift")
+        shown.add_row(
+            sample.sample,
+            f"{sample.points}\n({sample.uniform_1_degree_points})",
+            *fits,
+            parameters or (sample.reason or sample.phase),
+            "-" if trusted is None else "yes" if trusted else "NO",
+        )
+    return shown
+
+
+def remarks(samples: list[SampleOutcome]) -> list[str]:
+    """Sentences below the table: why a fit is not to be trusted, and where the files are."""
+    lines = []
+    for sample in samples:
+        if not sample.trusted.get("cook-torrance-shift", True):
+            why = " ".join(sample.reasons["cook-torrance-shift"])
+            lines.append(f"{sample.sample}: the fit cannot be trusted. {why}")
+        if sample.failed_points:
+            lines.append(f"{sample.sample}: {sample.failed_points} points failed and are absent from every result.")
+    lines += [f"{sample.sample}: {_folder(sample)}" for sample in samples if sample.files]
+    return lines
+
+
+def _folder(sample: SampleOutcome) -> str:
+    paths = [Path(path) for path in sample.files]
+    return f"{paths[0].parent} ({', '.join(sorted(path.name for path in paths))})"
+
+
+def _with_error(parameter: dict[str, Any]) -> str:
+    error = parameter["standard_error"]
+    if not isinstance(error, float | int):  # not determined: null or infinite in the stored JSON
+        return f"{parameter['value']:.4g} (fixed)"
+    return with_uncertainty(parameter["value"], error)

@@ -1,0 +1,89 @@
+"""What can be made of a dataset in the database at any time: fits, files for others, a report."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from analysis.analyse import analyse
+from analysis.fit_json import analysis_to_json, fit_to_json
+from analysis.fresnel import load_conductor
+from analysis.notation import with_uncertainty
+from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
+from api.service import run_facts
+from goniometer.errors import InputError
+from goniometer.store import Store
+
+Format = Literal["json", "mitsuba"]
+MODELS = ("local", "global", "cook-torrance", "cook-torrance-shift")
+
+
+def fit_dataset(store: Store, dataset_id: int, model: str | None) -> dict[str, Any]:
+    """Fit a dataset anew, store the fits, and return them as JSON: one model, or the whole analysis.
+
+    Raises `InputError` for an unknown model and `FitError` for data that cannot be fitted.
+    """
+    if model is not None and model not in MODELS:
+        raise InputError(f'There is no model "{model}"; there are {", ".join(MODELS)}.')
+    dataset = store.dataset(dataset_id)
+    conductor = load_conductor()
+    analysis = analyse(dataset, conductor)
+    whole = analysis_to_json(analysis, conductor)
+    if model in {None, "local"}:
+        store.add_fit(dataset_id, "analysis", whole)
+    for fit in analysis.models:
+        if model in {None, fit.model}:
+            text = fit_to_json(fit, dataset, analysis.differences[fit.model], conductor)
+            store.add_fit(dataset_id, fit.model, text)
+    content: dict[str, Any] = json.loads(whole)
+    parts = {"local": content["local"]} | {part["model"]: part for part in content["models"]}
+    shown = parts if model is None else {model: parts[model]}
+    return {"dataset": dataset_id, "sample": dataset.sample, "fits": shown}
+
+
+def fit_lines(found: dict[str, Any]) -> list[str]:
+    """The result of `fit_dataset` as lines for a person; uncertainties have coverage factor k = 1."""
+    lines = [f"Dataset {found['dataset']}, {found['sample']}; standard uncertainties, k = 1"]
+    for name, part in found["fits"].items():
+        if name == "local":
+            slopes = [m for m, good in zip(part["m_per_um"], part["reliable"], strict=True) if good]
+            spread = f", slopes from {min(slopes):.2f} to {max(slopes):.2f} 1/µm" if slopes else ""
+            lines.append(f"local: {len(slopes)} of {len(part['reliable'])} spectra are reliable{spread}")
+            continue
+        values = [
+            f"{p['name']} = {with_uncertainty(p['value'], _number(p['standard_error']))}"
+            + ("" if p["unit"] == "1" else f" {p['unit']}")
+            for p in part["parameters"]
+        ]
+        difference = part["metrics"]["dE00"]["absolute"]["mean"]
+        lines.append(f"{name}: {', '.join(values)}; mean dE00 {difference:.2f}")
+        word = "note" if part["verdict"]["trusted"] else "do not trust it"
+        lines += [f"  {word}: {reason}" for reason in part["verdict"]["reasons"]]
+    return lines
+
+
+def _number(stored: float | str | None) -> float:
+    """A number of the JSON of a fit, in which null and "inf" stand for what JSON cannot write."""
+    return float("nan") if stored is None else float(stored)
+
+
+def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Path | None) -> Export:
+    """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder."""
+    dataset = store.dataset(dataset_id)
+    conductor = load_conductor()
+    analysis = analyse(dataset, conductor)
+    if file_format == "json":
+        export = write_text("json", path or Path(f"{slug(dataset.sample)}.json"), analysis_to_json(analysis, conductor))
+    else:
+        _, export = write_bsdf(path or Path(f"{slug(dataset.sample)}.bsdf"), analysis)
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export
+
+
+def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
+    """Write the HTML report of a dataset to `path` or the present folder."""
+    dataset = store.dataset(dataset_id)
+    scan = store.scan(store.datasets()[dataset_id])
+    target = path or Path(f"{slug(dataset.sample)}.html")
+    export = write_analysis_report(target, analyse(dataset, load_conductor()), run_facts(store, scan))
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export

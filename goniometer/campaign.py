@@ -1,0 +1,346 @@
+"""What is to be measured: a campaign file (YAML or JSON) as checked, frozen data.
+
+A quantity is a number in the documented unit or a text with a unit: `10`, `"10 deg"`, `"0.17 rad"` for an
+angle, `30`, `"30 s"`, `"8 ms"`, `"500 us"` for a time. The smallest campaign that runs:
+
+    name: First light
+    samples:
+      - {name: Sample 1, material: sample-1}
+"""
+
+import difflib
+import hashlib
+import json
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, Self, get_args
+
+import yaml
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import ErrorDetails
+
+from goniometer.errors import CampaignError
+from goniometer.geometry import LARGEST_ANGLE
+
+ANGLE_UNITS = {"deg": 1.0, "°": 1.0, "rad": 180 / math.pi, "mrad": 0.18 / math.pi}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}
+
+
+def _quantity(value: object, units: dict[str, float], kind: str) -> object:
+    """`value` in the first of `units`; numbers pass unchanged, text needs one of the units."""
+    known = ", ".join(units)
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"{value!r} is not {kind}: give a number or a number with a unit ({known})")
+    if not isinstance(value, str):
+        return value
+    match = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*", value)
+    if match is None:
+        raise ValueError(f'"{value}" is not {kind}: give a number or a number with a unit ({known})')
+    number, unit = match.groups()
+    if unit and unit not in units:
+        raise ValueError(f'"{value}" has the unit "{unit}", but {kind} takes one of {known}')
+    return float(number) * units.get(unit, 1.0)
+
+
+def _angle(value: object) -> object:
+    return _quantity(value, ANGLE_UNITS, "an angle")
+
+
+def _time(value: object) -> object:
+    return _quantity(value, TIME_UNITS, "a time")
+
+
+Angle = Annotated[float, BeforeValidator(_angle), Field(allow_inf_nan=False)]
+"""Degrees."""
+Duration = Annotated[float, BeforeValidator(_time), Field(allow_inf_nan=False)]
+"""Seconds."""
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Sample(_Model):
+    """One thing to be measured."""
+
+    name: str = Field(min_length=1, description="How people call it; must differ between the samples of a campaign.")
+    material: str = Field(
+        min_length=1, description='What lies on the bench, e.g. "sample-1"; only a simulated bench reads it.'
+    )
+    description: str = Field(default="", description="What it is, in words.")
+    preparation: str = Field(default="", description="How its surface was made, in words.")
+
+
+class AngleSteps(_Model):
+    """Evenly spaced angles, both ends included."""
+
+    start: Angle = Field(description="First angle, degrees.")
+    stop: Angle = Field(description="Last angle, degrees.")
+    step: Angle = Field(gt=0, description="Distance of two angles, degrees; must divide the range.")
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        steps = (self.stop - self.start) / self.step
+        if steps < 0:
+            raise ValueError(f"stop ({self.stop:g} deg) lies below start ({self.start:g} deg): exchange them")
+        if abs(steps - round(steps)) > 1e-6:
+            raise ValueError(f"a step of {self.step:g} deg does not divide {self.start:g} to {self.stop:g} deg")
+        return self
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """All angles, degrees, ascending."""
+        return tuple(self.start + i * self.step for i in range(round((self.stop - self.start) / self.step) + 1))
+
+
+def _form_of_incident(value: object) -> str | None:
+    if isinstance(value, dict | AngleSteps):
+        return "steps"
+    return "list" if isinstance(value, list | tuple) else None
+
+
+Incident = Annotated[
+    Annotated[AngleSteps, Tag("steps")] | Annotated[tuple[Angle, ...], Tag("list")],
+    Discriminator(
+        _form_of_incident,
+        custom_error_type="incident_form",
+        custom_error_message="give start, stop and step, or a list of angles",
+    ),
+]
+"""Incident angles as a range or as a list; only the form that the user wrote is checked."""
+
+
+class OutgoingRange(_Model):
+    """The range of reflected directions, signed; the mirror direction of `theta_in` is `+theta_in`."""
+
+    start: Angle = Field(default=-LARGEST_ANGLE, ge=-LARGEST_ANGLE, description="Lowest theta_out, degrees.")
+    stop: Angle = Field(default=LARGEST_ANGLE, le=LARGEST_ANGLE, description="Highest theta_out, degrees.")
+
+    @model_validator(mode="after")
+    def _ascends(self) -> Self:
+        if self.start >= self.stop:
+            raise ValueError(f"start ({self.start:g} deg) must lie below stop ({self.stop:g} deg)")
+        return self
+
+
+class Resolution(_Model):
+    """How finely the reflected directions are sampled."""
+
+    tolerance: float = Field(
+        default=0.02,
+        gt=0,
+        allow_inf_nan=False,
+        description="Largest wanted interpolation error of ln(1 + cos(theta_in) f).",
+    )
+    coarse_step: Angle = Field(
+        default=10.0, gt=0, le=45, description="Distance of directions in the first pass, degrees."
+    )
+    minimum_step: Angle = Field(default=0.5, ge=0.05, description="Directions never lie closer than this, degrees.")
+
+    @model_validator(mode="after")
+    def _refines(self) -> Self:
+        if self.minimum_step > self.coarse_step:
+            raise ValueError(
+                f"minimum_step ({self.minimum_step:g} deg) must not exceed coarse_step ({self.coarse_step:g} deg)"
+            )
+        return self
+
+
+class Integration(_Model):
+    """How the integration time of a point is chosen."""
+
+    minimum: Duration = Field(default=0.008, gt=0, description="Shortest integration time, seconds.")
+    maximum: Duration = Field(default=30.0, gt=0, description="Longest integration time, seconds.")
+    fill: float = Field(default=0.7, gt=0, le=0.95, description="Wanted brightest pixel, as a part of saturation.")
+    scans: int = Field(default=1, ge=1, le=1000, description="Spectra that are averaged at each point of a sample.")
+
+    @model_validator(mode="after")
+    def _ascends(self) -> Self:
+        if self.minimum > self.maximum:
+            raise ValueError(f"minimum ({self.minimum:g} s) must not exceed maximum ({self.maximum:g} s)")
+        return self
+
+
+class Reference(_Model):
+    """How the reference panel is measured; its scan comes first."""
+
+    certificate: str | None = Field(
+        default=None,
+        description="CSV file of the panel's certificate, relative to the campaign file; none: nominal values.",
+    )
+    step: Angle = Field(default=10.0, gt=0, le=45, description="Distance of its reflected directions, degrees.")
+    scans: int = Field(
+        default=2, ge=1, le=1000, description="Spectra that are averaged at each point of the reference."
+    )
+
+
+class Campaign(_Model):
+    """A series of scans with one instrument: the reference panel first, then each sample."""
+
+    name: str = Field(min_length=1, description="Name of the campaign; a database holds one campaign of a name.")
+    seed: int = Field(default=0, ge=0, description="Seed of the simulated bench; a real bench has no use for it.")
+    samples: tuple[Sample, ...] = Field(min_length=1, description="What to measure, in this order.")
+    incident: Incident = Field(
+        default=AngleSteps(start=0, stop=80, step=10),
+        description="Incident angles, degrees: start, stop and step, or a list.",
+    )
+    outgoing: OutgoingRange = Field(default=OutgoingRange(), description="Range of reflected directions.")
+    resolution: Resolution = Field(default=Resolution(), description="How finely reflected directions are sampled.")
+    integration: Integration = Field(default=Integration(), description="How integration times are chosen.")
+    reference: Reference = Field(default=Reference(), description="How the reference panel is measured.")
+
+    @field_validator("samples")
+    @classmethod
+    def _named(cls, samples: tuple[Sample, ...]) -> tuple[Sample, ...]:
+        names = [sample.name for sample in samples]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise ValueError(f'two samples are named "{name}": give each its own name')
+        return samples
+
+    @field_validator("incident")
+    @classmethod
+    def _possible(cls, incident: AngleSteps | tuple[float, ...]) -> AngleSteps | tuple[float, ...]:
+        angles = incident.angles if isinstance(incident, AngleSteps) else incident
+        if not angles:
+            raise ValueError("the list of angles is empty: give at least one")
+        for angle in angles:
+            if not 0 <= angle <= LARGEST_ANGLE:
+                raise ValueError(
+                    f"{angle:g} deg is not possible: an incident angle must lie between 0 and {LARGEST_ANGLE:g} deg"
+                )
+        if len(set(angles)) < len(angles):
+            raise ValueError("an angle is listed twice: leave one out")
+        return incident
+
+    @property
+    def theta_in(self) -> tuple[float, ...]:
+        """Incident angles, degrees, ascending."""
+        angles = self.incident.angles if isinstance(self.incident, AngleSteps) else self.incident
+        return tuple(sorted(angles))
+
+    @property
+    def canonical_json(self) -> str:
+        """The campaign as JSON with sorted keys, all defaults written out, quantities in degrees and seconds."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all that decides what is measured, so that nobody resumes under a changed campaign.
+
+        The certificate is left out: it matters to calibration only, which may be repeated with another one.
+        """
+        content = self.model_dump(mode="json")
+        del content["reference"]["certificate"]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML in which a key given twice is a mistake; the standard loader silently keeps the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(None, None, f'the key "{key.value}" is given twice', key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def load_campaign(path: Path | str) -> Campaign:
+    """Read and check a campaign file; a relative certificate path is taken from the file's own folder.
+
+    Raises `CampaignError`, one line with the file, the key, what is wrong and what would be right.
+    """
+    path = Path(path)
+    try:
+        content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)  # a SafeLoader, and JSON is YAML
+    except OSError as error:
+        raise CampaignError(f"{path}: the campaign file cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise CampaignError(f"{path}: the campaign file is not UTF-8 text") from None
+    except yaml.YAMLError as error:
+        _refuse_yaml(path, error)
+    if not isinstance(content, dict):
+        raise CampaignError(f"{path}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
+    try:
+        campaign = Campaign.model_validate(content)
+    except ValidationError as error:
+        raise CampaignError(f"{path}: {describe(error, Campaign)}") from None
+    certificate = campaign.reference.certificate
+    if certificate is None:
+        return campaign
+    located = str(path.parent / certificate)
+    return campaign.model_copy(update={"reference": campaign.reference.model_copy(update={"certificate": located})})
+
+
+def _refuse_yaml(path: Path, error: yaml.YAMLError) -> NoReturn:
+    """Raise the one-line form of a YAML error."""
+    where = ""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        where = f" in line {error.problem_mark.line + 1}"
+    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+    raise CampaignError(f"{path}: the campaign file is not valid YAML{where}: {problem}") from None
+
+
+def _kind(value: object) -> str:
+    return {dict: "a mapping", list: "a list", str: "text", type(None): "nothing"}.get(type(value), repr(value))
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first fault of a pydantic validation of `model` as one sentence: key path, what is wrong, what is right."""
+    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")  # a typo explains the rest
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return _sentence(faults[0], model) + more
+
+
+def _sentence(fault: ErrorDetails, model: type[BaseModel]) -> str:
+    """One pydantic error in words."""
+    parts = [part for part in fault["loc"] if part not in {"steps", "list"}]  # the tags of `Incident`
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
+    given = fault["input"]
+    match fault["type"]:
+        case "extra_forbidden":
+            known = list(_model_at(model, parts[:-1]).model_fields)
+            near = difflib.get_close_matches(str(parts[-1]), known, n=1, cutoff=0.5)
+            hint = f'did you mean "{near[0]}"?' if near else "known here: " + ", ".join(known)
+            text = f"there is no such key; {hint}"
+        case "missing":
+            text = "this key is missing"
+        case "value_error":
+            text = str(fault["ctx"]["error"])
+        case "string_type":
+            text = f"{given!r} is not text; write it in quotes"
+        case "model_type" | "dict_type":
+            fields = ", ".join(_model_at(model, parts).model_fields)
+            text = f"{given!r} is not possible: give a mapping with keys of {fields}"
+        case "incident_form":
+            text = f"{given!r} is not possible: {fault['msg']}"
+        case _:
+            shown = "" if isinstance(given, dict | list | tuple) else f"{given!r} is not possible: "
+            text = shown + fault["msg"].replace("Input should", "it must").replace("Tuple should", "it must")
+    return f"{where}: {text}"
+
+
+def _model_at(model: type[BaseModel], parts: list[int | str]) -> type[BaseModel]:
+    """The model that the key path leads to."""
+    for part in parts:
+        if isinstance(part, int):
+            continue
+        annotation = model.model_fields[part].annotation
+        nested = [annotation, *get_args(annotation)]
+        nested += [inner for item in nested for inner in get_args(item)]
+        model = next(item for item in nested if isinstance(item, type) and issubclass(item, BaseModel))
+    return model

@@ -1,0 +1,136 @@
+"""How the database is opened, locked, read and written, whatever is in it."""
+
+import errno
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+from filelock import FileLock, Timeout
+from sqlalchemy import Connection, Engine, Row, Select, Table, create_engine, event, insert, update
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
+
+from goniometer import tables
+from goniometer.errors import NotInStore, StoreBusy, StoreError, StoreFull
+
+
+class Database:
+    """An open database; `Database.open` makes one."""
+
+    def __init__(self, engine: Engine, where: str, file: Path | None) -> None:
+        self._engine = engine
+        self._where = where
+        self._file = file
+
+    @classmethod
+    def open(cls, where: Path | str) -> Self:
+        """Open the SQLite file or SQLAlchemy URL `where`, creating the tables when there are none.
+
+        Raises `StoreError` where it cannot be opened or is not ours, `StoreFull` where there is no room.
+        """
+        url = _url(where)
+        file = Path(url.database) if url.get_backend_name() == "sqlite" and url.database else None
+        shown = str(file) if file else url.render_as_string(hide_password=True)
+        if file and not file.parent.is_dir():
+            raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
+        engine = create_engine(url)
+        if file:
+            event.listen(engine, "connect", _configure_sqlite)
+        database = cls(engine, shown, file)
+        with database._faults():
+            tables.prepare(engine, shown)
+        return database
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self._engine.dispose()
+
+    @contextmanager
+    def exclusive(self) -> Iterator[None]:
+        """Be the only process that runs a campaign on this database; the lock ends with the process, however it ends.
+
+        Raises `StoreBusy` when another process holds it.
+        """
+        if self._file is None:
+            raise StoreError(f"{self._where} cannot be locked; only an SQLite file can be run on so far")
+        lock = FileLock(self._file.with_name(self._file.name + ".lock"))
+        with self._faults():
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                raise StoreBusy(
+                    f"{self._where} is in use by another run; wait for its end, abort it, or name another file"
+                ) from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    @contextmanager
+    def _faults(self) -> Iterator[None]:
+        """Turn what the database or the disk refuses into this floor's errors."""
+        try:
+            yield
+        except IntegrityError as error:
+            raise StoreError(f"{self._where} refuses contradictory data: {error.orig}") from error
+        except DBAPIError as error:
+            message = str(error.orig)
+            if "full" in message:
+                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
+            if "not a database" in message:
+                raise StoreError(f"{self._where} is not a database; name a new file or one of this program") from error
+            raise StoreError(f"{self._where} cannot be used: {message}") from error
+        except OSError as error:
+            if error.errno == errno.ENOSPC:
+                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
+            raise StoreError(f"{self._where} cannot be used: {error.strerror or error}") from error
+
+    @contextmanager
+    def _writing(self) -> Iterator[Connection]:
+        """A transaction that is on the disk when the block ends, or has not happened."""
+        with self._faults(), self._engine.begin() as connection:
+            yield connection
+
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        with self._faults(), self._engine.connect() as connection:
+            yield connection
+
+    def _all(self, query: Select[Any]) -> Sequence[Row[Any]]:
+        with self._reading() as connection:
+            return connection.execute(query).all()
+
+    def _one(self, query: Select[Any], what: str) -> Row[Any]:
+        rows = self._all(query)
+        if not rows:
+            raise NotInStore(f"There is no {what} in {self._where}; list what there is with the status command")
+        return rows[0]
+
+    def _update(self, table: Table, row_id: int, **values: object) -> None:
+        with self._writing() as connection:
+            connection.execute(update(table).where(table.c.id == row_id).values(**values))
+
+
+def _url(where: Path | str) -> URL:
+    if isinstance(where, str) and "://" in where:
+        try:
+            return make_url(where)
+        except ArgumentError:
+            raise StoreError(f'"{where}" is not the address of a database; give a file or sqlite:///file') from None
+    return URL.create("sqlite", database=str(where))
+
+
+def _configure_sqlite(connection: Any, _: object) -> None:
+    """Keep what is committed through a power cut, let others read meanwhile, and check references."""
+    cursor = connection.cursor()
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def insert_row(connection: Connection, table: Table, **values: object) -> int:
+    """Add a row to a table that numbers its rows, and return its number."""
+    key = connection.execute(insert(table).values(**values)).inserted_primary_key
+    assert key is not None  # every table but "about" numbers its rows
+    return int(key[0])

@@ -1,0 +1,38 @@
+"""How far a scan has come, as a frozen snapshot that anybody may keep."""
+
+from dataclasses import dataclass
+
+from goniometer.geometry import Geometry
+from goniometer.records import Kind, Phase
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A snapshot of a running scan."""
+
+    scan_id: int
+    sample: str
+    """Name of the sample; "reference" for the reference scan."""
+    kind: Kind
+    phase: Phase
+    geometry: Geometry | None
+    """The direction that is measured now; None between points."""
+    done: int
+    """Points that are finished, the failed and skipped ones included."""
+    failed: int
+    """Points that could not be measured."""
+    expected: int
+    """Points that there will be, as far as the plan can tell: it grows or shrinks while the plan learns."""
+    bench_elapsed: float
+    """Seconds of bench time spent on finished points, in all runs of this scan."""
+    bench_remaining: float | None
+    """Seconds of bench time to go; None until a point is done."""
+    elapsed: float
+    """Seconds of real time since this run of the scan began."""
+    remaining: float | None
+    """Seconds of real time to go; None until this run has done a point."""
+
+    @property
+    def fraction(self) -> float:
+        """Part of the expected points that is done, 0 to 1."""
+        return min(self.done / self.expected, 1.0) if self.expected else 0.0

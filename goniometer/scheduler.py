@@ -1,0 +1,312 @@
+"""Runs campaigns: a short loop around the plan, the instrument and the database.
+
+The phases of a scan, as they stand in the database:
+
+    idle ──> running ──────────────────────────────> finished (completed)
+               │  ^ resume
+         pause │  └──────── paused
+               v              ^ │
+            pausing ──────────┘ │ abort
+               │ abort          v
+               └──────────> aborting ──────────────> finished (aborted: why)
+    running, or any of the others ── device gone ──> finished (failed: why)
+
+Pausing takes effect after the point in hand, aborting at once. Cancelling the task that runs a scan is the
+emergency stop: stages stopped, shutter closed, scan aborted. An aborted or failed scan, and one whose process
+was killed, goes on where it stood when its campaign is run again; a completed one is not repeated.
+
+Everything that decides what happens next is read from the database. A batch of the plan is written before its
+first point is measured and a point together with its exposures, so a resumed scan measures the same
+directions with the same integration times as one that was never interrupted.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable
+
+import numpy as np
+
+from drivers.arrays import FloatArray
+from drivers.errors import DeviceDisconnected, DeviceNotFound, DriverError
+from goniometer.calibration import Response, band_values, certificate_of, read_raw, response
+from goniometer.campaign import Campaign
+from goniometer.errors import GeometryError, RunAborted, StoreError
+from goniometer.exposure import Brightness, brightest, check_limits, predict, take
+from goniometer.geometry import Geometry
+from goniometer.instrument import Instrument
+from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points
+from goniometer.progress import Progress
+from goniometer.records import Outcome, Phase, Point, Scan
+from goniometer.store import Store
+
+ATTEMPTS = 3
+"""How often a point is tried before it is given up."""
+
+FAILURES_IN_A_ROW = 3
+"""After so many given-up points in a row the scan fails: something is wrong with a device, not with a point."""
+
+DARKS = 4
+"""Dark spectra of each integration time."""
+
+POLL = 0.2
+"""Seconds of real time between two looks for a command."""
+
+TYPICAL_REFINEMENT = 1.4
+"""Points of a sample over points of its coarse sweep, before anything is known about it."""
+
+Mount = Callable[[Scan], Awaitable[None]]
+"""Called before a scan; returns when its sample, or the reference panel, lies on the bench."""
+Report = Callable[[Progress], None]
+"""Called at every change; must return soon."""
+
+
+async def run_campaign(
+    store: Store,
+    campaign: Campaign,
+    instrument: Instrument,
+    mount: Mount,
+    report: Report,
+    on_scan_finished: Callable[[Scan], None],
+) -> int:
+    """Run or resume a campaign on an open instrument, and return its id in the database.
+
+    `on_scan_finished` is called once the scan of a sample is complete, and for one that was complete before but
+    has no dataset, so that no fit is lost to a crash in between. Raises `StoreBusy`, `CampaignError` (changed
+    content), `RunAborted` (an operator's wish), and what stopped the campaign: `DriverError`, `StoreFull`, ...
+    """
+    with store.exclusive():
+        campaign_id = store.add_campaign(campaign)
+        for scan in store.scans(campaign_id):
+            if scan.outcome != "completed":
+                await run_scan(store, scan.id, instrument, mount, report)
+            if scan.kind == "sample" and not store.datasets(scan.id):
+                on_scan_finished(store.scan(scan.id))
+    return campaign_id
+
+
+async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mount, report: Report) -> None:
+    """Run or resume one scan; returns when it is complete.
+
+    Whatever else ends it (see `run_campaign`) is written down as its outcome, after the bench has been made
+    safe, and raised again.
+    """
+    scan = store.scan(scan_id)
+    run = _Run(store, scan, instrument, report)
+    store.release_points(scan_id)
+    store.clear_command(scan_id)
+    store.set_phase(scan_id, "running")
+    try:
+        await _unless_aborted(store, scan_id, mount(scan))
+        await run.measure()
+        await instrument.safe()
+    except BaseException as error:
+        # The device may be what failed, and the disk may be full: do what can be done, then tell the first cause.
+        with contextlib.suppress(DriverError):
+            await instrument.safe()
+        with contextlib.suppress(StoreError):
+            store.finish_scan(scan_id, *_ending(error))
+            run.tell("finished")
+        raise
+    store.finish_scan(scan_id, "completed")
+    run.tell("finished")
+
+
+def _ending(error: BaseException) -> tuple[Outcome, str]:
+    """Outcome and reason of a scan that `error` ended."""
+    if isinstance(error, RunAborted):
+        return "aborted", str(error)
+    if isinstance(error, asyncio.CancelledError | KeyboardInterrupt):
+        return "aborted", "It was stopped at once."
+    return "failed", str(error) or type(error).__name__
+
+
+async def _unless_aborted(store: Store, scan_id: int, work: Awaitable[None]) -> None:
+    """Wait for `work`, but cancel it and raise `RunAborted` as soon as an abort is asked for."""
+    task = asyncio.ensure_future(work)
+    try:
+        while not task.done():
+            await asyncio.wait({task}, timeout=POLL)
+            if not task.done() and store.command(scan_id) == "abort":
+                raise RunAborted("The operator aborted it; run the campaign again to go on where it stood.")
+    finally:
+        if not task.done():
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    task.result()
+
+
+class _Run:
+    """One run of one scan: what its steps share. All that must survive it is in the database."""
+
+    def __init__(self, store: Store, scan: Scan, instrument: Instrument, report: Report) -> None:
+        self.store = store
+        self.scan = scan
+        self.instrument = instrument
+        self.report = report
+        self.campaign = store.campaign(scan.campaign_id)
+        self.spec = plan_spec(self.campaign)
+        self.scans = self.campaign.reference.scans if scan.kind == "reference" else self.campaign.integration.scans
+        self.response: Response | None = None
+        # The next two repeat stored exposures, so that choosing an exposure does not read them all again.
+        self.darks: dict[float, FloatArray] = {}
+        self.seen: dict[float, list[Brightness]] = {}
+        self.began = time.monotonic()
+        self.done = self.done_before = self.failed = self.expected = 0
+        self.bench_seconds = 0.0
+
+    async def measure(self) -> None:
+        """Measure until the plan has no more points."""
+        check_limits(self.campaign.integration, self.instrument)
+        self.store.save_constants(self.scan.id, await self.instrument.constants())
+        self._recall()
+        failures = 0
+        while batch := self._pending():
+            for point in batch:
+                await self._obey()
+                failure = await self._attempt(point)
+                self.done += 1
+                self.failed += failure is not None
+                failures = failures + 1 if failure else 0
+                if failure and failures >= FAILURES_IN_A_ROW:
+                    raise failure
+                self.tell("running", point.geometry)
+
+    def tell(self, phase: Phase, geometry: Geometry | None = None) -> None:
+        """Report a snapshot."""
+        remaining = max(self.expected - self.done, 0)
+        here = self.done - self.done_before
+        elapsed = time.monotonic() - self.began
+        self.report(
+            Progress(
+                self.scan.id,
+                self.scan.sample,
+                self.scan.kind,
+                phase,
+                geometry,
+                self.done,
+                self.failed,
+                self.expected,
+                self.bench_seconds,
+                remaining * self.bench_seconds / self.done if self.done else None,
+                elapsed,
+                remaining * elapsed / here if here else None,
+            )
+        )
+
+    def _recall(self) -> None:
+        """Read what earlier runs of this scan have done."""
+        raw = read_raw(self.store, self.scan.id)
+        self.darks = {t: np.asarray(counts.mean(axis=0)) for t, counts in raw.darks.items()}
+        for geometry, counts, t in zip(raw.planned, raw.counts, raw.integration_times, strict=True):
+            rate = brightest(counts, float(t), self.darks[float(t)], raw.constants.saturation)
+            self._remember(geometry, rate)
+        points = self.store.points(self.scan.id)
+        self.done = self.done_before = sum(p.status in {"done", "failed", "skipped"} for p in points)
+        self.failed = sum(p.status in {"failed", "skipped"} for p in points)
+        self.bench_seconds = sum(p.seconds for p in points)
+
+    def _pending(self) -> list[Point]:
+        """Points to measure now: what is left of a batch, or the plan's next one; empty when the scan is complete."""
+        points = self.store.points(self.scan.id)
+        pending = [p for p in points if p.status == "pending"]
+        if not pending:
+            batch = self._plan(points)
+            if batch:
+                self.store.add_points(self.scan.id, batch)
+            pending = [p for p in self.store.points(self.scan.id) if p.status == "pending"]
+        self.expected = max(self._expected(points), len(points), self.done + len(pending))
+        return pending
+
+    def _plan(self, points: list[Point]) -> list[Geometry]:
+        if self.scan.kind == "reference":
+            return [] if points else reference_points(self.spec, self.campaign.reference.step)
+        return next_points(self.spec, self._measured(points))
+
+    def _measured(self, points: list[Point]) -> list[Measured]:
+        """What the plan may know: bands of measured points, and nothing but the place of failed ones."""
+        nothing = np.full(1, np.nan)
+        visited = [Measured(p.geometry, nothing, nothing) for p in points if p.status in {"failed", "skipped"}]
+        raw = read_raw(self.store, self.scan.id)
+        if not raw.planned:
+            return visited
+        if self.response is None:
+            reference = self.store.reference_scan(self.scan.id)
+            self.response = response(read_raw(self.store, reference.id), certificate_of(self.campaign))
+        values, noise = band_values(raw, self.response)
+        return [Measured(g, v, u) for g, v, u in zip(raw.planned, values, noise, strict=True)] + visited
+
+    def _expected(self, points: list[Point]) -> int:
+        """How many points this scan will have: from its own intervals, or from its like before these are known."""
+        if self.scan.kind == "reference":
+            return len(reference_points(self.spec, self.campaign.reference.step))
+        coarse = len(next_points(self.spec, []))
+        if self.done >= coarse:
+            return expected_total(self.spec, self._measured(points))
+        others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
+        if not others:
+            return round(TYPICAL_REFINEMENT * coarse)
+        return round(sum(len(self.store.points(s.id)) for s in others) / len(others))
+
+    async def _obey(self) -> None:
+        """Do what was asked for between two points: pause until resumed, or raise `RunAborted`."""
+        if self.store.command(self.scan.id) == "pause":
+            self.store.clear_command(self.scan.id)
+            await self.instrument.safe()
+            self.store.set_phase(self.scan.id, "paused")
+            self.tell("paused")
+            while self.store.command(self.scan.id) not in {"resume", "abort"}:  # noqa: ASYNC110 (another process answers)
+                await asyncio.sleep(POLL)
+        if self.store.command(self.scan.id) == "abort":
+            raise RunAborted("The operator aborted it; run the campaign again to go on where it stood.")
+        if self.store.command(self.scan.id) == "resume":
+            self.store.clear_command(self.scan.id)
+            self.store.set_phase(self.scan.id, "running")
+
+    async def _attempt(self, point: Point) -> DriverError | GeometryError | None:
+        """Measure a point, trying again after a fault; returns why it was given up, or None.
+
+        Raises `DriverError` where a device is gone.
+        """
+        fault: DriverError | None = None
+        for _ in range(ATTEMPTS):
+            self.store.start_point(point.id)
+            try:
+                await _unless_aborted(self.store, self.scan.id, self._measure_point(point))
+            except GeometryError as error:
+                self.store.give_up_point(point.id, "skipped", str(error))
+                return error
+            except (DeviceDisconnected, DeviceNotFound):
+                raise
+            except DriverError as error:
+                fault = error
+                await self.instrument.safe()
+            else:
+                return None
+        self.store.give_up_point(point.id, "failed", str(fault))
+        return fault
+
+    async def _measure_point(self, point: Point) -> None:
+        """Go there, expose, and write the point with its exposures."""
+        self.tell("running", point.geometry)
+        began = self.instrument.clock.now()
+        read_back = await self.instrument.goto(point.geometry)
+        predicted = predict(point.geometry.theta_out, self.seen.get(point.geometry.theta_in, []))
+        spectra = await take(self.instrument, self.campaign.integration, self.scans, predicted, self._dark)
+        counts, t = np.stack([s.counts for s in spectra]), spectra[0].integration_time
+        dark = await self._dark(t)  # before the point is written: a stored point always has its dark
+        seconds = self.instrument.clock.now() - began
+        self.store.finish_point(point, read_back, spectra, seconds)
+        self._remember(point.geometry, brightest(counts, t, dark, self.instrument.saturation))
+        self.bench_seconds += seconds
+
+    def _remember(self, geometry: Geometry, rate: float) -> None:
+        self.seen.setdefault(geometry.theta_in, []).append(Brightness(geometry.theta_out, rate))
+
+    async def _dark(self, integration_time: float) -> FloatArray:
+        """[pixels] mean dark of an integration time, counts; taken and written the first time it is needed."""
+        if integration_time not in self.darks:
+            spectra = [await self.instrument.dark(integration_time) for _ in range(DARKS)]
+            self.store.add_darks(self.scan.id, spectra)
+            self.darks[integration_time] = np.mean([s.counts for s in spectra], axis=0)
+        return self.darks[integration_time]

@@ -1,0 +1,330 @@
+"""The database: campaigns, scans, points and raw exposures, and the datasets, fits and exports made from them.
+
+It is the only place where a run is remembered. Every writing method is one committed transaction that is on
+the disk when the method returns, so a process may be killed at any instant; a point and its exposures are
+written together or not at all.
+"""
+
+import json
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+from sqlalchemy import func, insert, select, update
+
+from drivers.interfaces import Spectrum
+from goniometer import tables
+from goniometer.campaign import Campaign
+from goniometer.database import Database, insert_row
+from goniometer.dataset import Dataset
+from goniometer.errors import CampaignError, NotInStore, StoreError
+from goniometer.geometry import Geometry
+from goniometer.instrument import Constants
+from goniometer.records import (
+    Command,
+    Exposure,
+    Outcome,
+    Phase,
+    Point,
+    Scan,
+    StoredText,
+    constants_json,
+    exposure_row,
+    now,
+    pack_dataset,
+    to_constants,
+    to_dataset,
+    to_exposure,
+    to_point,
+    to_scan,
+)
+
+
+def software_version() -> str:
+    """Version of this program, as written beside everything derived."""
+    return version("goniometer")
+
+
+class Store(Database):
+    """An open database; `Store.open` makes one."""
+
+    # Campaigns and scans
+
+    def add_campaign(self, campaign: Campaign) -> int:
+        """Id of the campaign; it is written, with its scans, unless it is there already.
+
+        Raises `CampaignError` when a campaign of this name but with other content is there.
+        """
+        with self._writing() as connection:
+            known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
+            if known is not None:
+                if known.hash != campaign.hash:
+                    raise CampaignError(
+                        f'The campaign "{campaign.name}" in {self._where} was started with other content; '
+                        f"undo the change to resume it, or give the changed campaign another name"
+                    )
+                return int(known.id)
+            campaign_id = insert_row(
+                connection,
+                tables.campaigns,
+                name=campaign.name,
+                json=campaign.canonical_json,
+                hash=campaign.hash,
+                created=now(),
+            )
+            things = [("reference", "reference", "spectralon")]
+            things += [("sample", sample.name, sample.material) for sample in campaign.samples]
+            for number, (kind, sample, material) in enumerate(things):
+                insert_row(
+                    connection,
+                    tables.scans,
+                    campaign_id=campaign_id,
+                    number=number,
+                    kind=kind,
+                    sample=sample,
+                    material=material,
+                    phase="idle",
+                )
+            return campaign_id
+
+    def campaign(self, campaign_id: int) -> Campaign:
+        """The campaign as it was started; raises `NotInStore`."""
+        row = self._one(select(tables.campaigns).where(tables.campaigns.c.id == campaign_id), f"campaign {campaign_id}")
+        return Campaign.model_validate_json(row.json)
+
+    def campaigns(self) -> dict[int, str]:
+        """Name of every campaign by its id, oldest first."""
+        return {row.id: row.name for row in self._all(select(tables.campaigns).order_by(tables.campaigns.c.id))}
+
+    def scan(self, scan_id: int) -> Scan:
+        """One scan; raises `NotInStore`."""
+        return to_scan(self._one(select(tables.scans).where(tables.scans.c.id == scan_id), f"scan {scan_id}"))
+
+    def scans(self, campaign_id: int | None = None) -> list[Scan]:
+        """Scans of one campaign or of all, in the order in which they are run."""
+        query = select(tables.scans).order_by(tables.scans.c.campaign_id, tables.scans.c.number)
+        if campaign_id is not None:
+            query = query.where(tables.scans.c.campaign_id == campaign_id)
+        return [to_scan(row) for row in self._all(query)]
+
+    def reference_scan(self, scan_id: int) -> Scan:
+        """The reference scan of the campaign that `scan_id` belongs to; raises `NotInStore`."""
+        return self.scans(self.scan(scan_id).campaign_id)[0]
+
+    def set_phase(self, scan_id: int, phase: Phase) -> None:
+        """Note what a scan is doing; the first "running" is its start, and forgets how it ended before."""
+        values: dict[str, object] = {"phase": phase}
+        if phase == "running":
+            values |= {"outcome": None, "reason": "", "finished": None}
+            values["started"] = func.coalesce(tables.scans.c.started, now())
+        self._update(tables.scans, scan_id, **values)
+
+    def finish_scan(self, scan_id: int, outcome: Outcome, reason: str = "") -> None:
+        """Note how a scan ended; a point that was being measured then is pending again."""
+        with self._writing() as connection:
+            connection.execute(
+                update(tables.points)
+                .where(tables.points.c.scan_id == scan_id, tables.points.c.status == "running")
+                .values(status="pending")
+            )
+            connection.execute(
+                update(tables.scans)
+                .where(tables.scans.c.id == scan_id)
+                .values(phase="finished", outcome=outcome, reason=reason, command=None, finished=now())
+            )
+
+    def request(self, scan_id: int, command: Command) -> None:
+        """Ask the process that runs a scan to pause (after the point in hand), to resume, or to abort (at once).
+
+        Raises `StoreError` where the scan is not being run.
+        """
+        scan = self.scan(scan_id)
+        if scan.phase in {"idle", "finished"}:
+            raise StoreError(f"Scan {scan_id} is {scan.phase}, so it cannot {command}; name a scan that is running")
+        phase: Phase = scan.phase
+        if command == "abort":
+            phase = "aborting"
+        elif command == "pause" and phase == "running":
+            phase = "pausing"
+        self._update(tables.scans, scan_id, command=command, phase=phase)
+
+    def command(self, scan_id: int) -> Command | None:
+        """What was asked for and not taken up yet."""
+        with self._reading() as connection:
+            command: Command | None = connection.execute(
+                select(tables.scans.c.command).where(tables.scans.c.id == scan_id)
+            ).scalar()
+            return command
+
+    def clear_command(self, scan_id: int) -> None:
+        """Note that a command has been taken up."""
+        self._update(tables.scans, scan_id, command=None)
+
+    def save_constants(self, scan_id: int, constants: Constants) -> None:
+        """Write what calibration needs to know about the devices.
+
+        Raises `StoreError` when the scan began with another spectrometer or other settings: raw data must not be
+        mixed. A stage may be exchanged, and need not know who it is.
+        """
+        known = self._constants_json(scan_id)
+        if known is None:
+            self._update(tables.scans, scan_id, constants=constants_json(constants))
+            return
+        before, after = json.loads(known), json.loads(constants_json(constants))
+        changed = [name.replace("_", " ") for name in after if name != "stages" and after[name] != before.get(name)]
+        if changed:
+            raise StoreError(
+                f"Scan {scan_id} began with another {' and '.join(changed)}; "
+                f"connect and set what it began with, or start a campaign of another name"
+            )
+
+    def constants(self, scan_id: int) -> Constants:
+        """What calibration needs to know about the devices of a scan; raises `NotInStore`."""
+        text = self._constants_json(scan_id)
+        if text is None:
+            raise NotInStore(f"Scan {scan_id} has not begun, so {self._where} holds nothing about its devices")
+        return to_constants(text)
+
+    def _constants_json(self, scan_id: int) -> str | None:
+        row = self._one(select(tables.scans.c.constants).where(tables.scans.c.id == scan_id), f"scan {scan_id}")
+        return None if row.constants is None else str(row.constants)
+
+    # Points and raw exposures
+
+    def add_points(self, scan_id: int, geometries: Sequence[Geometry]) -> None:
+        """Append a batch of the plan to a scan, in this order."""
+        with self._writing() as connection:
+            first = connection.execute(
+                select(func.count()).select_from(tables.points).where(tables.points.c.scan_id == scan_id)
+            ).scalar_one()
+            connection.execute(
+                insert(tables.points),
+                [
+                    {
+                        "scan_id": scan_id,
+                        "number": first + i,
+                        "theta_in": geometry.theta_in,
+                        "theta_out": geometry.theta_out,
+                        "status": "pending",
+                    }
+                    for i, geometry in enumerate(geometries)
+                ],
+            )
+
+    def points(self, scan_id: int) -> list[Point]:
+        """All points of a scan, in the order in which the plan asked for them."""
+        query = select(tables.points).where(tables.points.c.scan_id == scan_id).order_by(tables.points.c.number)
+        return [to_point(row) for row in self._all(query)]
+
+    def start_point(self, point_id: int) -> None:
+        """Note that a point is being measured, and that this is one more attempt."""
+        self._update(tables.points, point_id, status="running", attempts=tables.points.c.attempts + 1)
+
+    def finish_point(self, point: Point, read_back: Geometry, spectra: Sequence[Spectrum], seconds: float) -> None:
+        """Write a measured point together with its raw exposures."""
+        with self._writing() as connection:
+            connection.execute(
+                insert(tables.exposures), [exposure_row(point.scan_id, point.id, "light", s) for s in spectra]
+            )
+            connection.execute(
+                update(tables.points)
+                .where(tables.points.c.id == point.id)
+                .values(
+                    status="done",
+                    read_theta_in=read_back.theta_in,
+                    read_theta_out=read_back.theta_out,
+                    reason="",
+                    seconds=tables.points.c.seconds + seconds,
+                    finished=now(),
+                )
+            )
+
+    def give_up_point(self, point_id: int, status: Literal["failed", "skipped"], reason: str) -> None:
+        """Note that a point will not be measured, and why."""
+        self._update(tables.points, point_id, status=status, reason=reason, finished=now())
+
+    def release_points(self, scan_id: int) -> None:
+        """Make points pending again: what was being measured when a run stopped, and what failed in it."""
+        with self._writing() as connection:
+            connection.execute(
+                update(tables.points)
+                .where(tables.points.c.scan_id == scan_id, tables.points.c.status.in_(("running", "failed")))
+                .values(status="pending")
+            )
+
+    def add_darks(self, scan_id: int, spectra: Sequence[Spectrum]) -> None:
+        """Write dark exposures of a scan."""
+        with self._writing() as connection:
+            connection.execute(insert(tables.exposures), [exposure_row(scan_id, None, "dark", s) for s in spectra])
+
+    def exposures(self, scan_id: int) -> list[Exposure]:
+        """All raw exposures of a scan, darks included, in the order in which they were written."""
+        query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
+        return [to_exposure(row) for row in self._all(query)]
+
+    # Derived rows: only ever added
+
+    def add_dataset(self, scan_id: int, dataset: Dataset) -> int:
+        """Write a calibrated dataset and return its id."""
+        with self._writing() as connection:
+            return insert_row(
+                connection,
+                tables.datasets,
+                scan_id=scan_id,
+                sample=dataset.sample,
+                arrays=pack_dataset(dataset),
+                lineage=json.dumps(dataset.lineage, sort_keys=True),
+                content_hash=dataset.content_hash,
+                software_version=software_version(),
+                created=now(),
+            )
+
+    def dataset(self, dataset_id: int) -> Dataset:
+        """A calibrated dataset, bit for bit as it was written; raises `NotInStore`."""
+        row = self._one(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
+        return to_dataset(row)
+
+    def datasets(self, scan_id: int | None = None) -> dict[int, int]:
+        """Scan id of every dataset (of one scan) by its id, oldest first."""
+        table = tables.datasets
+        query = select(table.c.id, table.c.scan_id).order_by(table.c.id)
+        if scan_id is not None:
+            query = query.where(table.c.scan_id == scan_id)
+        return {row.id: row.scan_id for row in self._all(query)}
+
+    def add_fit(self, dataset_id: int, model: str, text: str) -> int:
+        """Write a fit of a dataset as JSON and return its id."""
+        with self._writing() as connection:
+            return insert_row(
+                connection,
+                tables.fits,
+                dataset_id=dataset_id,
+                model=model,
+                json=text,
+                software_version=software_version(),
+                created=now(),
+            )
+
+    def fits(self, dataset_id: int) -> list[StoredText]:
+        """All fits of a dataset, oldest first."""
+        query = select(tables.fits).where(tables.fits.c.dataset_id == dataset_id).order_by(tables.fits.c.id)
+        return [StoredText(row.id, row.dataset_id, row.model, row.json) for row in self._all(query)]
+
+    def add_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> int:
+        """Note that a file was written from a dataset; returns the export's id."""
+        with self._writing() as connection:
+            return insert_row(
+                connection,
+                tables.exports,
+                dataset_id=dataset_id,
+                path=str(path),
+                format=file_format,
+                sha256=sha256,
+                created=now(),
+            )
+
+    def exports(self, dataset_id: int) -> list[StoredText]:
+        """All files written from a dataset, oldest first."""
+        query = select(tables.exports).where(tables.exports.c.dataset_id == dataset_id).order_by(tables.exports.c.id)
+        return [StoredText(row.id, row.dataset_id, row.format, row.path) for row in self._all(query)]

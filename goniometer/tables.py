@@ -1,0 +1,182 @@
+"""The tables of the database, and how to tell that a database is one of ours.
+
+campaigns 1-n scans 1-n points 1-n exposures; scans 1-n darks (exposures without a point), scans 1-n datasets
+1-n fits and exports. Exposures, datasets, fits and exports are only ever added: in SQLite, triggers refuse to
+change or delete them. Times are ISO 8601 texts in UTC.
+"""
+
+from sqlalchemy import (
+    CheckConstraint,
+    Column,
+    Connection,
+    Engine,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+    insert,
+    inspect,
+    select,
+    text,
+)
+
+from goniometer.errors import StoreError
+
+APPLICATION = "goniometer"
+SCHEMA_VERSION = 1
+
+metadata = MetaData()
+
+about = Table(
+    "about",
+    metadata,
+    Column("application", String, primary_key=True),
+    Column("schema_version", Integer, nullable=False),
+)
+
+campaigns = Table(
+    "campaigns",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("name", String, nullable=False, unique=True),
+    Column("json", Text, nullable=False),
+    Column("hash", String, nullable=False),
+    Column("created", String, nullable=False),
+)
+
+scans = Table(
+    "scans",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("campaign_id", ForeignKey("campaigns.id"), nullable=False),
+    Column("number", Integer, nullable=False),
+    Column("kind", String, nullable=False),
+    Column("sample", String, nullable=False),
+    Column("material", String, nullable=False),
+    Column("phase", String, nullable=False),
+    Column("outcome", String),
+    Column("reason", Text, nullable=False, default=""),
+    Column("command", String),
+    Column("constants", Text),
+    Column("started", String),
+    Column("finished", String),
+    CheckConstraint("kind IN ('reference', 'sample')"),
+    CheckConstraint("phase IN ('idle', 'running', 'pausing', 'paused', 'aborting', 'finished')"),
+    CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
+    CheckConstraint("command IN ('pause', 'resume', 'abort')"),
+    UniqueConstraint("campaign_id", "number"),
+)
+
+points = Table(
+    "points",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("scan_id", ForeignKey("scans.id"), nullable=False),
+    Column("number", Integer, nullable=False),
+    Column("theta_in", Float, nullable=False),
+    Column("theta_out", Float, nullable=False),
+    Column("read_theta_in", Float),
+    Column("read_theta_out", Float),
+    Column("status", String, nullable=False),
+    Column("attempts", Integer, nullable=False, default=0),
+    Column("reason", Text, nullable=False, default=""),
+    Column("seconds", Float, nullable=False, default=0.0),
+    Column("finished", String),
+    CheckConstraint("status IN ('pending', 'running', 'done', 'failed', 'skipped')"),
+    UniqueConstraint("scan_id", "number"),
+)
+
+exposures = Table(
+    "exposures",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("scan_id", ForeignKey("scans.id"), nullable=False),
+    Column("point_id", ForeignKey("points.id")),
+    Column("kind", String, nullable=False),
+    Column("integration_time", Float, nullable=False),
+    Column("counts", LargeBinary, nullable=False),
+    Column("device_count", Integer, nullable=False),
+    Column("detector_temperature", Float, nullable=False),
+    Column("taken", String, nullable=False),
+    CheckConstraint("(kind = 'light' AND point_id IS NOT NULL) OR (kind = 'dark' AND point_id IS NULL)"),
+    Index("exposures_of_scan", "scan_id"),
+)
+
+datasets = Table(
+    "datasets",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("scan_id", ForeignKey("scans.id"), nullable=False),
+    Column("sample", String, nullable=False),
+    Column("arrays", LargeBinary, nullable=False),
+    Column("lineage", Text, nullable=False),
+    Column("content_hash", String, nullable=False),
+    Column("software_version", String, nullable=False),
+    Column("created", String, nullable=False),
+)
+
+fits = Table(
+    "fits",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("dataset_id", ForeignKey("datasets.id"), nullable=False),
+    Column("model", String, nullable=False),
+    Column("json", Text, nullable=False),
+    Column("software_version", String, nullable=False),
+    Column("created", String, nullable=False),
+)
+
+exports = Table(
+    "exports",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("dataset_id", ForeignKey("datasets.id"), nullable=False),
+    Column("path", String, nullable=False),
+    Column("format", String, nullable=False),
+    Column("sha256", String, nullable=False),
+    Column("created", String, nullable=False),
+)
+
+IMMUTABLE = (exposures, datasets, fits, exports)
+
+
+def prepare(engine: Engine, where: str) -> None:
+    """Create the tables in an empty database, or check that they are ours; `where` names it in messages.
+
+    Raises `StoreError` for another program's database or another version of this one's tables.
+    """
+    with engine.begin() as connection:
+        names = inspect(connection).get_table_names()
+        if not names:
+            _create(connection)
+            return
+        if about.name not in names:
+            raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
+        row = connection.execute(select(about)).first()
+        if row is None or row.application != APPLICATION:
+            raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
+        if row.schema_version != SCHEMA_VERSION:
+            raise StoreError(
+                f"{where} has tables of version {row.schema_version}, but this program needs version "
+                f"{SCHEMA_VERSION}; use the program that wrote it, or name a new file"
+            )
+
+
+def _create(connection: Connection) -> None:
+    metadata.create_all(connection)
+    connection.execute(insert(about).values(application=APPLICATION, schema_version=SCHEMA_VERSION))
+    if connection.dialect.name == "sqlite":
+        for table in IMMUTABLE:
+            for verb in ("UPDATE", "DELETE"):
+                connection.execute(
+                    text(
+                        f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
+                        f"BEGIN SELECT RAISE(ABORT, '{table.name} are only ever added'); END"
+                    )
+                )

@@ -1,0 +1,139 @@
+"""Figures show the measured values where they were measured, and can be read on any page."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from analysis import figures
+from analysis.notation import with_uncertainty
+from analysis.results import SampleAnalysis
+from analysis.svg import INK, hex_colour
+from goniometer.dataset import Dataset
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def _all(analysis: SampleAnalysis) -> list[str]:
+    dataset = analysis.dataset
+    exposure = figures.exposure_of(dataset)
+    return [
+        figures.colour_map(dataset, dataset.brdf, exposure, "a", "Measured", measured=True),
+        figures.colour_map(dataset, dataset.brdf, None, "b", "Hue"),
+        figures.difference_map(dataset, analysis.differences["cook-torrance"].absolute, 10, "c", "dE00"),
+        figures.difference_scale(10, "d"),
+        figures.distributions(dataset, "e"),
+        figures.spectra(dataset, analysis.local, "f"),
+        *figures.slopes(dataset, analysis.local, analysis.model("global"), "g"),
+        *figures.slopes(dataset, analysis.local, analysis.model("cook-torrance-shift"), "h"),
+    ]
+
+
+def test_every_figure_is_well_formed_and_follows_the_page(rough_analysis: SampleAnalysis) -> None:
+    drawn = _all(rough_analysis)
+    assert len(drawn) == 6 + 2 * 3
+    for figure in drawn:
+        root = ElementTree.fromstring(figure)
+        assert root.tag == f"{SVG}svg"
+        assert "currentColor" in figure
+        assert INK not in figure
+        assert "font-family" not in figure
+        assert "<style" not in figure
+        assert not re.search(r"(href|src)=\"(?!#)", figure)
+
+
+def test_ids_are_unique_when_all_figures_stand_in_one_page(rough_analysis: SampleAnalysis) -> None:
+    ids = re.findall(r' id="([^"]+)"', "".join(_all(rough_analysis)))
+    assert len(ids) == len(set(ids))
+    references = re.findall(r'(?:url\(|href=")#([^)"]+)', "".join(_all(rough_analysis)))
+    assert set(references) <= set(ids)
+
+
+def test_the_same_data_gives_the_same_figure(rough_analysis: SampleAnalysis) -> None:
+    assert _all(rough_analysis) == _all(rough_analysis)
+
+
+def test_every_measured_cell_says_its_angles_and_its_value(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    svg = _all(rough_analysis)[0]
+    titles = [e.text or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}title")]
+    assert len(titles) == dataset.theta_in.size
+    f, u = figures.at_wavelength(dataset, 600.0)
+    wanted = f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; "
+    assert wanted + f"f(600 nm) = {with_uncertainty(f[7], u[7])} 1/sr" in titles
+
+
+def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(rough_sample: Dataset) -> None:
+    left, right, bottom, top = figures.cell_edges(rough_sample.theta_in, rough_sample.theta_out).T
+    assert np.all((left < rough_sample.theta_out) & (rough_sample.theta_out < right))
+    assert np.all((bottom < rough_sample.theta_in) & (rough_sample.theta_in < top))
+    back = -np.round(rough_sample.theta_in / 10) * 10
+    assert np.all((right <= back - 4.98) | (left >= back + 4.98))
+    # cells of one row do not overlap: their widths sum to what they cover
+    row = np.abs(rough_sample.theta_in - 40) < 1
+    order = np.argsort(left[row])
+    assert np.all(right[row][order][:-1] <= left[row][order][1:] + 1e-9)
+
+
+def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_sample: Dataset) -> None:
+    theta_in, theta_out = np.zeros(3), np.array([10.0, 20, 30])
+    wavelengths = rough_sample.wavelengths
+    brdf = np.ones((3, wavelengths.size))
+    brdf[1] = np.where(wavelengths > 600, 1.0, 0.02)
+    brdf[2] *= 0.2140411  # linear light of display value 0.5
+    small = replace(
+        rough_sample, theta_in=theta_in, theta_out=theta_out, brdf=brdf, u_random=0.01 * brdf, u_reference=0.01 * brdf
+    )
+    svg = figures.colour_map(small, brdf, figures.Exposure(1.0, 0), "x", "x")
+    fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
+    assert fills[0] == "#ffffff"
+    assert fills[2] in ("#7f7f7f", "#808080")
+    red, green, blue = (int(fills[1][i : i + 2], 16) for i in (1, 3, 5))
+    assert red > 2 * green
+    assert red > 2 * blue
+
+
+def test_lines_can_be_told_from_a_white_and_from_a_black_page() -> None:
+    # WCAG 2.2, success criterion 1.4.11: graphics need a contrast of 3 : 1
+    for colour in figures.line_colours(12):
+        channels = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        luminance = float(linear @ [0.2126, 0.7152, 0.0722])
+        assert 1.05 / (luminance + 0.05) >= 3
+        assert (luminance + 0.05) / (0.0077 + 0.05) >= 3  # on #14171b
+
+
+def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    brdf = dataset.brdf.copy()
+    brdf[4, 20:30] = np.nan
+    gap = replace(dataset, brdf=brdf)
+    svg = figures.colour_map(gap, brdf, figures.exposure_of(gap), "x", "x")
+    assert "#80808026" in svg
+    ElementTree.fromstring(figures.distributions(gap, "y"))
+    ElementTree.fromstring(figures.spectra(gap, rough_analysis.local, "z"))
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        # JCGM 100:2008, 7.2.2, example 2: m_s = 100.021 47 g with u_c = 0.35 mg
+        (100.02147, 0.00035, "100.02147(35)"),
+        (1.23412, 0.01234, "1.234(12)"),
+        (-0.00033, 0.0021, "−0.0003(21)"),
+        (4321.2, 13.7, "4321(14)"),
+        (12345.6, 0.0996, "12345.60(10)"),
+        (1.2341e-5, 1.234e-7, "1.234(12) × 10⁻⁵"),
+        (-12.4, 171790.0, "0(170000)"),
+        (0.0, float("inf"), "0 (uncertainty not determined)"),
+        (float("nan"), 1.0, "no value"),
+    ],
+)
+def test_uncertainties_are_written_as_metrology_writes_them(value: float, u: float, text: str) -> None:
+    assert with_uncertainty(value, u) == text
+
+
+def test_colours_are_clipped_into_what_a_page_can_show() -> None:
+    assert hex_colour((1.5, -0.2, 0.5)) == "#ff0080"

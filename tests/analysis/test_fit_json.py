@@ -1,0 +1,153 @@
+"""A fit that was saved can be used again, years later and by other programs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.directions import in_plane
+from analysis.errors import ExportError
+from analysis.fit_json import analysis_to_json, evaluate, fit_from_json, fit_to_json
+from analysis.fresnel import load_conductor
+from analysis.models import cook_torrance
+from analysis.results import Parameter, SampleAnalysis, Verdict
+from goniometer.dataset import Dataset
+from goniometer.errors import InputError
+
+
+def _saved(analysis: SampleAnalysis, model: str) -> str:
+    return fit_to_json(analysis.model(model), analysis.dataset, analysis.differences[model], load_conductor())
+
+
+def _refuse(name: str) -> None:
+    raise AssertionError(f"{name} is not strict JSON")
+
+
+@pytest.mark.parametrize("model", ["global", "cook-torrance", "cook-torrance-shift"])
+def test_a_reloaded_fit_is_the_same_bit_for_bit(rough_analysis: SampleAnalysis, model: str) -> None:
+    fit, dataset = rough_analysis.model(model), rough_analysis.dataset
+    stored = fit_from_json(_saved(rough_analysis, model))
+    for name in (
+        "model", "equation", "parameters", "verdict", "cost", "cost_value", "r2", "lambda_n", "theta_range",
+        "wavelength_range", "clamped_points",
+    ):  # fmt: skip
+        assert getattr(stored, name) == getattr(fit, name), name
+    np.testing.assert_array_equal(stored.correlation, fit.correlation)
+    assert (stored.sample, stored.dataset_hash) == (dataset.sample, dataset.content_hash)
+    assert (stored.points, stored.aperture) == (dataset.theta_in.size, 1.0)
+    assert stored.colour_difference["absolute"] == rough_analysis.differences[model].statistics("absolute")
+
+
+def test_a_reloaded_model_gives_identical_values_in_directions_never_measured(rough_analysis: SampleAnalysis) -> None:
+    fit = rough_analysis.model("cook-torrance-shift")
+    stored = fit_from_json(_saved(rough_analysis, "cook-torrance-shift"))
+    rng = np.random.default_rng(5)
+    theta_in, theta_out = rng.uniform(0, 85, 200), rng.uniform(-85, 85, 200)
+    wavelengths = np.linspace(360, 830, 31)
+    expected = cook_torrance(
+        in_plane(theta_in, theta_out), wavelengths, fit.value("alpha"), load_conductor(), fit.value("h"), fit.value("w")
+    )
+    assert np.array_equal(evaluate(stored, theta_in, theta_out, wavelengths), expected)
+    # by hand at one direction: plain Cook-Torrance differs by the shift alone
+    plain = replace(stored, model="cook-torrance")
+    ratio = evaluate(stored, np.array([20.0]), np.array([50.0]), np.array([700.0])) / evaluate(
+        plain, np.array([20.0]), np.array([50.0]), np.array([700.0])
+    )
+    slope = fit.value("h") * np.cos(fit.value("w") * np.radians(15))
+    assert ratio[0, 0] == pytest.approx(1 + 0.1 * slope, rel=1e-12)
+
+
+def test_the_reloaded_global_model_gives_the_values_that_were_fitted(rough_analysis: SampleAnalysis) -> None:
+    dataset, local = rough_analysis.dataset, rough_analysis.local
+    stored = fit_from_json(_saved(rough_analysis, "global"))
+    normalised = evaluate(stored, dataset.theta_in, dataset.theta_out, dataset.wavelengths)
+    np.testing.assert_allclose(normalised * local.scale[:, None], rough_analysis.model("global").fitted, rtol=1e-9)
+
+
+def test_what_is_not_determined_survives_strict_json(rough_analysis: SampleAnalysis) -> None:
+    parameters = (
+        Parameter("alpha", 0.1, float("inf"), "1"),
+        Parameter("h", float("nan"), float("nan"), "1/um"),
+        Parameter("w", float("-inf"), 0.1 + 0.2, "1"),
+    )
+    fit = replace(
+        rough_analysis.model("cook-torrance-shift"),
+        parameters=parameters,
+        correlation=np.array([[1, np.nan, np.inf], [np.nan, 1, 0], [-np.inf, 0, 1]]),
+        r2=float("nan"),
+        verdict=Verdict(False, ("The lobe [ 0.66 deg ] is narrower than the aperture.", 'It says "no".')),
+    )
+    text = fit_to_json(fit, rough_analysis.dataset, rough_analysis.differences["local"], load_conductor())
+    assert json.loads(text, parse_constant=_refuse)["parameters"][0]["standard_error"] == "inf"
+    stored = fit_from_json(text)
+    assert repr(stored.parameters) == repr(parameters)
+    np.testing.assert_array_equal(stored.correlation, fit.correlation)
+    assert np.isnan(stored.r2)
+    assert stored.verdict == fit.verdict
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "no valid JSON"),
+        ("[1, 2]", "JSON object"),
+        ('{"schema": "something-else"}', '"goniometer-fit"'),
+        ('{"schema": "goniometer-fit", "schema_version": 99}', "schema version 99"),
+        ('{"schema": "goniometer-fit", "schema_version": 1}', "is missing"),
+        ('{"schema": "goniometer-fit", "schema_version": 1, "r2": NaN}', "NaN is not JSON"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(text: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint) as refusal:
+        fit_from_json(text)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("parameters",), 3),
+        (("parameters", 0, "value"), "much"),
+        (("correlation",), [[1.0]]),
+        (("fitted_to", "theta_in_deg"), [1.0]),
+        (("metrics", "dE00"), []),
+        (("conductor", "n"), {"a": 1}),
+    ],
+)
+def test_a_damaged_field_is_refused_and_never_guessed(
+    rough_analysis: SampleAnalysis, path: tuple[str | int, ...], value: object
+) -> None:
+    document = json.loads(_saved(rough_analysis, "cook-torrance-shift"))
+    place = document
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = value
+    with pytest.raises(InputError, match="damaged"):
+        fit_from_json(json.dumps(document))
+
+
+def test_the_whole_analysis_is_strict_json_and_holds_every_point_once(rough_analysis: SampleAnalysis) -> None:
+    document = json.loads(analysis_to_json(rough_analysis, load_conductor()), parse_constant=_refuse)
+    assert document["dataset"]["sha256"] == rough_analysis.dataset.content_hash
+    assert [m["model"] for m in document["models"]] == ["global", "cook-torrance", "cook-torrance-shift"]
+    local = document["local"]
+    assert local["theta_out_deg"] == rough_analysis.dataset.theta_out.tolist()
+    assert local["m_per_um"] == rough_analysis.local.slope.tolist()
+    assert {len(v) for v in local.values() if isinstance(v, list)} == {rough_analysis.dataset.theta_in.size}
+
+
+def test_a_blocked_direction_never_leaves_the_house(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    theta_out = dataset.theta_out.copy()
+    theta_out[3] = -dataset.theta_in[3] + 4.9
+    slipped_in = replace(rough_analysis, dataset=replace(dataset, theta_out=theta_out))
+    local = json.loads(analysis_to_json(slipped_in, load_conductor()))["local"]
+    assert len(local["theta_in_deg"]) == dataset.theta_in.size - 1
+    assert min(abs(a + b) for a, b in zip(local["theta_in_deg"], local["theta_out_deg"], strict=True)) >= 5
+
+
+def test_lineage_that_json_cannot_hold_is_named(rough_analysis: SampleAnalysis, rough_sample: Dataset) -> None:
+    strange = replace(rough_analysis, dataset=replace(rough_sample, lineage={"camera": {1, 2}}))
+    with pytest.raises(ExportError, match="set"):
+        analysis_to_json(strange, load_conductor())

@@ -1,0 +1,125 @@
+"""The report stands alone, says what may be trusted, and what was left out."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.errors import ExportError
+from analysis.export_mitsuba import BsdfReport, RelativeError
+from analysis.notation import with_uncertainty
+from analysis.report import RunFacts, report_html, write_report
+from analysis.results import SampleAnalysis, Verdict
+
+ERROR = RelativeError(0.0081, 0.0153, 0.0242)
+FACTS = RunFacts(
+    uniform_points=483,
+    bench_time=754.2,
+    certificate="SRS-99-010, serial 1234",
+    blocked_points=27,
+    failed_points=2,
+    files=(("disc.json", "all fits"), ("disc & more.bsdf", "for rendering")),
+    bsdf=BsdfReport(Path("disc.bsdf"), 5, "flat", np.arange(6.0), 0.043, ERROR, {"flat": ERROR}, ""),
+)
+
+
+class _Reader(HTMLParser):
+    """Collects tags and text, and checks that every element is closed in order."""
+
+    VOID = ("meta", "br")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text = ""
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href")]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [value or "" for name, value in attrs if name in ("href", "src", "xlink:href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def html(rough_analysis: SampleAnalysis) -> str:
+    return report_html(rough_analysis, FACTS)
+
+
+@pytest.fixture(scope="module")
+def page(html: str) -> _Reader:
+    reader = _Reader()
+    reader.feed(html)
+    assert reader.open == []
+    return reader
+
+
+def test_the_report_needs_no_network(html: str, page: _Reader) -> None:
+    outside = [link for link in page.links if not link.startswith("#")]
+    assert outside == ["disc.json", "disc & more.bsdf"]
+    namespaces = ("http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink")
+    assert set(re.findall(r"https?://[^\"'\s<)]+", html)) <= set(namespaces)
+    assert "@import" not in html
+    assert "<script" not in html
+    assert len(html.encode()) < 3e6
+
+
+def test_ids_are_unique_in_the_whole_page(html: str) -> None:
+    ids = re.findall(r'\sid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+
+
+def test_a_sample_name_cannot_break_the_page(page: _Reader, html: str) -> None:
+    assert "disc <2>" in page.text
+    assert "<2>" not in html
+
+
+def test_the_report_says_both_mean_colour_differences_of_both_models(
+    page: _Reader, rough_analysis: SampleAnalysis
+) -> None:
+    for model, title in (("cook-torrance", "Cook-Torrance"), ("cook-torrance-shift", "Cook-Torrance with shift")):
+        absolute, chromatic = (
+            rough_analysis.differences[model].statistics(k)["mean"] for k in ("absolute", "chromatic")
+        )
+        assert f"{title}{absolute:.2f}{chromatic:.2f}" in page.text
+
+
+def test_parameters_carry_their_uncertainty_and_unit(page: _Reader, rough_analysis: SampleAnalysis) -> None:
+    fit = rough_analysis.model("cook-torrance-shift")
+    assert f"h{with_uncertainty(fit.value('h'), fit.standard_error('h'))} /µm" in page.text
+    assert page.text.count("coverage factor") >= 4
+
+
+def test_the_report_says_what_was_left_out_and_how_good_the_rendering_file_is(page: _Reader) -> None:
+    assert "27 directions within 5°" in page.text
+    assert "2 directions could not be measured" in page.text
+    assert "12 min 34 s" in page.text
+    assert "0.8 % at the median, by less than 1.5 % in 99 of 100 directions and by 2.4 % at most" in page.text
+    assert "SRS-99-010, serial 1234" in page.text
+
+
+def test_a_doubtful_fit_is_announced_before_anything_else(rough_analysis: SampleAnalysis) -> None:
+    shifted = rough_analysis.model("cook-torrance-shift")
+    doubtful = replace(shifted, verdict=Verdict(False, ("The lobe is narrower than the aperture & more.",)))
+    html = report_html(replace(rough_analysis, models=(*rough_analysis.models[:2], doubtful)), FACTS)
+    banner = html.index("Do not trust: Cook-Torrance with shift")
+    assert banner < html.index("<svg")
+    assert html.index("The lobe is narrower than the aperture &amp; more.") < html.index("<svg")
+
+
+def test_a_folder_that_cannot_be_written_is_named(rough_analysis: SampleAnalysis, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="nowhere"):
+        write_report(tmp_path / "nowhere" / "report.html", rough_analysis, FACTS)
+    write_report(tmp_path / "report.html", rough_analysis, FACTS)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")

@@ -1,0 +1,76 @@
+"""Blocking calls of a device neither interleave nor get lost."""
+
+import asyncio
+import threading
+import time
+
+import pytest
+
+from drivers.device_thread import DeviceThread
+
+
+def test_a_cancelled_call_runs_to_its_end_before_the_next_begins() -> None:
+    events: list[str] = []
+    started = threading.Event()
+
+    def slow() -> None:
+        started.set()
+        events.append("slow begins")
+        time.sleep(0.05)
+        events.append("slow ends")
+
+    async def scenario() -> None:
+        thread = DeviceThread("device")
+        call = asyncio.create_task(thread.run(slow))
+        await asyncio.to_thread(started.wait)
+        call.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await call
+        await thread.run(events.append, "next")
+        await thread.finish(lambda: events.append("closed"))
+
+    asyncio.run(scenario())
+    assert events == ["slow begins", "slow ends", "next", "closed"]
+
+
+def test_a_call_that_was_cancelled_while_it_waited_is_never_made() -> None:
+    events: list[str] = []
+
+    async def scenario() -> None:
+        thread = DeviceThread("device")
+        first = asyncio.create_task(thread.run(time.sleep, 0.05))
+        second = asyncio.create_task(thread.run(events.append, "moved"))
+        await asyncio.sleep(0.01)
+        second.cancel()
+        await first
+        await thread.finish(lambda: None)
+
+    asyncio.run(scenario())
+    assert events == []
+
+
+def test_the_event_loop_goes_on_while_a_device_blocks() -> None:
+    async def scenario() -> int:
+        thread = DeviceThread("device")
+        call = asyncio.create_task(thread.run(time.sleep, 0.05))
+        turns = 0
+        while not call.done():
+            await asyncio.sleep(0.001)
+            turns += 1
+        await thread.finish(lambda: None)
+        return turns
+
+    assert asyncio.run(scenario()) > 3
+
+
+def test_a_finished_thread_starts_again_when_the_device_is_reopened() -> None:
+    async def scenario() -> tuple[str, str]:
+        thread = DeviceThread("device")
+        await thread.finish(lambda: None)
+        first = await thread.run(lambda: threading.current_thread().name)
+        await thread.finish(lambda: None)
+        return first, await thread.run(lambda: threading.current_thread().name)
+
+    first, second = asyncio.run(scenario())
+    assert first.startswith("device")
+    assert second.startswith("device")

@@ -1,0 +1,102 @@
+import json
+import math
+
+import pytest
+
+from goniometer.campaign import Campaign, load_campaign
+from goniometer.errors import CampaignError
+
+SMALLEST = "name: First light\nsamples:\n  - {name: Sample 1, material: sample-1}\n"
+
+
+def load(tmp_path, text):
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_campaign(path)
+
+
+def test_the_smallest_campaign_measures_what_the_paper_did(tmp_path):
+    campaign = load(tmp_path, SMALLEST)
+    assert campaign.theta_in == (0, 10, 20, 30, 40, 50, 60, 70, 80)
+    assert (campaign.outgoing.start, campaign.outgoing.stop) == (-85, 85)
+
+
+def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
+    campaign = load(
+        tmp_path,
+        SMALLEST + "incident: [0, '10 deg', '0.5 rad', 15°]\n"
+        "integration: {minimum: 8000 us, maximum: 0.5 min, fill: 0.6}\nresolution: {minimum_step: 0.5 deg}\n",
+    )
+    assert campaign.theta_in == pytest.approx((0, 10, 15, math.degrees(0.5)))
+    assert campaign.integration.minimum == pytest.approx(0.008)
+    assert campaign.integration.maximum == pytest.approx(30)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name: a\nsamples: [{name: s, materal: m}]", ["samples[0].materal", 'did you mean "material"']),
+        ("name: a\nsamples: [{name: s, material: m}, {name: t}]", ["samples[1].material", "missing"]),
+        ("name: a\nsamples: []", ["samples", "at least 1"]),
+        ("name: 7\nsamples: [{name: s, material: m}]", ["name", "quotes"]),
+        ("name: a\nsamples: [{name: s, material: m}, {name: s, material: n}]", ["samples", '"s"', "its own name"]),
+        (SMALLEST + "incident: [0, 10 nm]", ["incident[1]", '"nm"', "deg"]),
+        (SMALLEST + "incident: {start: 0, stop: 80 s, step: 10}", ["incident.stop", '"s"', "deg"]),
+        (SMALLEST + "incident: [95]", ["incident", "95 deg", "between 0 and 85"]),
+        (SMALLEST + "incident: [-10]", ["incident", "-10 deg", "between 0 and 85"]),
+        (SMALLEST + "incident: [10, 10]", ["incident", "twice"]),
+        (SMALLEST + "incident: {start: 0, stop: 80, step: 7}", ["incident", "7 deg", "does not divide"]),
+        (SMALLEST + "incident: {start: 0, stop: 80, stepp: 7}", ["incident.stepp", 'did you mean "step"']),
+        (SMALLEST + "incident: everything", ["incident", "a list of angles"]),
+        (SMALLEST + "outgoing: {start: -100}", ["outgoing.start", "-100", "-85"]),
+        (SMALLEST + "outgoing: wide", ["outgoing", "start, stop"]),
+        (SMALLEST + "integration: {maximum: 30 deg}", ["integration.maximum", '"deg"', "ms"]),
+        (SMALLEST + "integration: {maximum: .inf}", ["integration.maximum", "finite"]),
+        (SMALLEST + "integration: {minimum: 40}", ["integration", "40 s", "30 s"]),
+        (SMALLEST + "integration: {fill: 2}", ["integration.fill", "0.95"]),
+        (SMALLEST + "resolution: {minimum_step: 20}", ["resolution", "minimum_step", "coarse_step"]),
+        (SMALLEST + "resolutoin: {}", ["resolutoin", 'did you mean "resolution"']),
+        (SMALLEST + "name: b", ["line 4", '"name" is given twice']),
+        ("name: [unclosed", ["line", "YAML"]),
+        ("- name: a", ["a mapping", "a list"]),
+        ("", ["a mapping", "nothing"]),
+    ],
+)
+def test_a_mistake_gets_one_line_with_file_place_and_remedy(tmp_path, text, words):
+    with pytest.raises(CampaignError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "campaign.yaml" in message
+    for word in words:
+        assert word in message
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(CampaignError, match=r"nowhere\.yaml"):
+        load_campaign(tmp_path / "nowhere.yaml")
+
+
+def test_json_is_read_like_yaml(tmp_path):
+    path = tmp_path / "campaign.json"
+    path.write_text(json.dumps({"name": "First light", "samples": [{"name": "Sample 1", "material": "sample-1"}]}))
+    assert load_campaign(path) == load(tmp_path, SMALLEST)
+
+
+def test_a_changed_campaign_has_another_hash_and_a_reworded_one_has_not(tmp_path):
+    campaign = load(tmp_path, SMALLEST)
+    spelled_out = load(tmp_path, SMALLEST + "incident: {start: 0 deg, stop: 80, step: 10}\nseed: 0\n")
+    assert spelled_out.hash == campaign.hash
+    assert load(tmp_path, SMALLEST + "seed: 1").hash != campaign.hash
+    assert load(tmp_path, SMALLEST + "resolution: {tolerance: 0.03}").hash != campaign.hash
+
+
+def test_another_certificate_does_not_forbid_a_resume(tmp_path):
+    with_certificate = load(tmp_path, SMALLEST + "reference: {certificate: panel.csv}")
+    assert with_certificate.reference.certificate == str(tmp_path / "panel.csv")
+    assert with_certificate.hash == load(tmp_path, SMALLEST).hash
+
+
+def test_canonical_json_reloads_to_the_same_campaign(tmp_path):
+    campaign = load(tmp_path, SMALLEST + "incident: [0, 0.5 rad]\nintegration: {maximum: 0.1 s}")
+    assert Campaign.model_validate_json(campaign.canonical_json) == campaign

@@ -1,0 +1,370 @@
+"""Whole campaigns on the wire-level simulators: the real drivers talk to simulated devices.
+
+Run as a program, `test_scheduler.py DATABASE POINT PLACE`, it runs the campaign and kills itself without
+warning at a point, for the test that a power cut loses nothing.
+"""
+
+import asyncio
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from drivers.errors import DeviceDisconnected, DeviceTimeout
+from drivers.oriental_az import OrientalAZ
+from drivers.qepro import QEPro, QEProLight
+from drivers.smc100 import SMC100
+from goniometer.calibration import calibrate_scan, read_raw
+from goniometer.campaign import Campaign, Integration, Resolution, Sample
+from goniometer.errors import CampaignError, ExposureError, RunAborted, StoreBusy, StoreError
+from goniometer.instrument import Instrument
+from goniometer.scheduler import run_campaign
+from goniometer.store import Store
+from simulators.bench import GAIN
+from simulators.laboratory import simulated_laboratory
+from simulators.materials import material, true_brdf
+
+CAMPAIGN = Campaign(
+    name="Test",
+    seed=3,
+    samples=(Sample(name="Mirror", material="sample-6"),),
+    incident=(30.0,),
+    resolution=Resolution(coarse_step=20.0, tolerance=0.1),
+)
+
+
+@asynccontextmanager
+async def bench(seed=CAMPAIGN.seed):
+    """The simulated laboratory, its instrument and what a person does who mounts samples."""
+    with simulated_laboratory(seed) as laboratory:
+        detector_address = urlsplit(laboratory.detector_stage_url)
+        spectrometer = QEPro("QE Pro", laboratory.clock, usb_backend=laboratory.usb_backend)
+        instrument = Instrument(
+            SMC100("sample stage", laboratory.sample_stage_url, laboratory.clock),
+            OrientalAZ("detector stage", detector_address.hostname, detector_address.port, laboratory.clock),
+            spectrometer,
+            QEProLight(spectrometer),
+            laboratory.clock,
+            gain=GAIN,
+        )
+        await instrument.open()
+
+        async def mount(scan):
+            laboratory.bench.mount(scan.material)
+
+        try:
+            yield instrument, mount
+        finally:
+            await instrument.close()
+
+
+async def run(store, campaign=CAMPAIGN, report=lambda _: None, finished=lambda _: None, change=None):
+    """Run a campaign on a fresh bench; `change` may tamper with the instrument."""
+    async with bench() as (instrument, mount):
+        if change is not None:
+            change(instrument)
+        await run_campaign(store, campaign, instrument, mount, report, finished)
+
+
+def content(store):
+    """All that a campaign leaves that must not depend on interruptions."""
+    return [
+        [
+            (p.geometry, p.read_back, p.status, light.tobytes())
+            for p, light in zip(store.points(scan.id), read_raw(store, scan.id).counts, strict=True)
+        ]
+        for scan in store.scans()
+    ]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """A campaign that ran without interruption, and everything that it reported."""
+    store = Store.open(tmp_path_factory.mktemp("undisturbed") / "bench.db")
+    reports, finished = [], []
+    asyncio.run(run(store, report=reports.append, finished=finished.append))
+    yield store, reports, finished
+    store.close()
+
+
+@pytest.fixture
+def store(tmp_path):
+    opened = Store.open(tmp_path / "bench.db")
+    yield opened
+    opened.close()
+
+
+def test_the_measured_brdf_is_that_of_the_sample_within_its_uncertainty(tmp_path):
+    store = Store.open(tmp_path / "bench.db")
+    rough = CAMPAIGN.model_copy(update={"samples": (Sample(name="Rough", material="sample-1"),)})
+    asyncio.run(run(store, rough))
+    dataset = calibrate_scan(store, store.scans()[1].id)
+    truth = true_brdf(material("sample-1"), dataset.theta_in, dataset.theta_out, dataset.wavelengths)
+    score = (dataset.brdf - truth) / dataset.u
+    assert score.std() == pytest.approx(1, abs=0.1)
+    assert score.mean() == pytest.approx(0, abs=0.2)
+    assert np.median(dataset.u / truth) < 0.01
+    store.close()
+
+
+def test_a_campaign_ends_with_every_point_done_and_the_fit_job_started(undisturbed):
+    store, _, finished = undisturbed
+    assert {(s.phase, s.outcome) for s in store.scans()} == {("finished", "completed")}
+    assert {p.status for s in store.scans() for p in store.points(s.id)} == {"done"}
+    assert [scan.sample for scan in finished] == ["Mirror"]
+
+
+def test_the_mirror_peak_is_measured_without_saturation(undisturbed):
+    store, _, _ = undisturbed
+    raw = read_raw(store, store.scans()[1].id)
+    assert max(counts.max() for counts in raw.counts) < raw.constants.saturation
+    assert raw.integration_times.min() < 0.1
+    assert raw.integration_times.max() == 30.0
+
+
+def test_progress_counts_up_to_what_was_expected(undisturbed):
+    _, reports, _ = undisturbed
+    for kind in ("reference", "sample"):
+        mine = [r for r in reports if r.kind == kind]
+        assert mine[-1].phase == "finished"
+        assert mine[-1].done == mine[-1].expected
+        assert mine[-1].fraction == 1
+        assert mine[-1].bench_remaining == 0
+        assert all(a.done <= b.done for a, b in pairwise(mine))
+        halfway = mine[len(mine) // 2]
+        assert halfway.bench_remaining == pytest.approx(mine[-1].bench_elapsed - halfway.bench_elapsed, rel=0.6)
+
+
+def test_a_completed_campaign_is_not_repeated(undisturbed, tmp_path):
+    store, _, _ = undisturbed
+    before = content(store)
+    reports = []
+    asyncio.run(run(store, report=reports.append))
+    assert reports == []
+    assert content(store) == before
+
+
+@pytest.mark.parametrize("interruptions", [1, 4])
+def test_an_emergency_stop_makes_the_bench_safe_and_the_run_goes_on_where_it_stood(undisturbed, store, interruptions):
+    total = sum(len(points) for points in content(undisturbed[0]))
+
+    async def stopped_after(count):
+        async with bench() as (instrument, mount):
+            seen = []
+
+            def report(progress):
+                seen.append(progress)
+                if len(seen) == count:
+                    task.cancel()
+
+            task = asyncio.create_task(run_campaign(store, CAMPAIGN, instrument, mount, report, lambda _: None))
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            assert instrument._shutter_open is False
+
+    for i in range(interruptions):
+        asyncio.run(stopped_after(3 + 7 * i))
+        ended = [scan for scan in store.scans() if scan.outcome == "aborted"]
+        assert len(ended) == 1
+        assert "stopped" in ended[0].reason
+        assert not any(p.status == "running" for p in store.points(ended[0].id))
+    assert sum(len(store.points(s.id)) for s in store.scans()) < total
+    asyncio.run(run(store))
+    assert content(store) == content(undisturbed[0])
+
+
+@pytest.mark.slow
+def test_a_power_cut_at_any_moment_loses_nothing_and_changes_nothing(undisturbed, tmp_path):
+    database = tmp_path / "bench.db"
+    for point, place in ((4, "expose"), (9, "commit"), (20, "dark"), (31, "plan")):
+        killed = subprocess.run(
+            [sys.executable, __file__, str(database), str(point), place], capture_output=True, check=False
+        )
+        assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    store = Store.open(database)
+    asyncio.run(run(store))
+    assert content(store) == content(undisturbed[0])
+    dataset, expected = (calibrate_scan(s, s.scans()[1].id) for s in (store, undisturbed[0]))
+    assert dataset.content_hash == expected.content_hash
+    with sqlite3.connect(database) as check:
+        assert check.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    check.close()
+    store.close()
+
+
+def test_pause_resume_and_abort_work_from_another_process(store, tmp_path):
+    other = Store.open(tmp_path / "bench.db")
+    phases = []
+
+    def report(progress):
+        phases.append(progress.phase)
+        if progress.done == 3 and "paused" not in phases and other.command(progress.scan_id) is None:
+            other.request(progress.scan_id, "pause")
+            assert other.scan(progress.scan_id).phase == "pausing"
+        elif progress.phase == "paused":
+            assert other.scan(progress.scan_id).phase == "paused"
+            other.request(progress.scan_id, "resume")
+        elif progress.done == 8 and progress.phase == "running":
+            other.request(progress.scan_id, "abort")
+
+    with pytest.raises(RunAborted):
+        asyncio.run(run(store, report=report))
+    assert "paused" in phases
+    scan = store.scans()[0]
+    assert (scan.phase, scan.outcome, scan.command) == ("finished", "aborted", None)
+    assert 8 <= sum(p.status == "done" for p in store.points(scan.id)) <= 9
+    other.close()
+
+
+def test_two_runs_on_one_database_do_not_mix(store, tmp_path):
+    with Store.open(tmp_path / "bench.db").exclusive(), pytest.raises(StoreBusy):
+        asyncio.run(run(store))
+
+
+def test_a_changed_campaign_does_not_go_on_under_the_old_name(undisturbed):
+    changed = CAMPAIGN.model_copy(update={"resolution": Resolution(tolerance=0.5)})
+    with pytest.raises(CampaignError, match="other content"):
+        asyncio.run(run(undisturbed[0], changed))
+
+
+def test_times_that_the_device_cannot_take_end_the_scan_before_anything_is_exposed(store):
+    hasty = CAMPAIGN.model_copy(update={"integration": Integration(minimum=0.001)})
+    with pytest.raises(ExposureError, match=r"integration\.minimum"):
+        asyncio.run(run(store, hasty))
+    assert store.exposures(store.scans()[0].id) == []
+    assert store.scans()[0].outcome == "failed"
+
+
+def failing(error, calls):
+    """A change of the instrument: these calls of its `expose` raise `error`."""
+
+    def change(instrument):
+        expose, count = instrument.expose, iter(range(10**6))
+
+        async def flaky(integration_time):
+            if next(count) in calls:
+                raise error
+            return await expose(integration_time)
+
+        instrument.expose = flaky
+
+    return change
+
+
+def test_a_passing_fault_costs_an_attempt_and_nothing_else(undisturbed, store):
+    asyncio.run(run(store, change=failing(DeviceTimeout("QE Pro: no answer within 1 s."), {5, 6, 40})))
+    for scan, expected in zip(store.scans(), undisturbed[0].scans(), strict=True):
+        assert [p.geometry for p in store.points(scan.id)] == [p.geometry for p in undisturbed[0].points(expected.id)]
+        assert {p.status for p in store.points(scan.id)} == {"done"}
+    attempts = [p.attempts for s in store.scans() for p in store.points(s.id)]
+    assert sum(a > 1 for a in attempts) >= 2
+
+
+def test_a_point_that_always_fails_is_given_up_with_its_reason_and_the_rest_is_measured(store):
+    reference = store.scans(store.add_campaign(CAMPAIGN))[0].id
+
+    def change(instrument):
+        goto = instrument.goto
+
+        async def jammed(geometry):
+            if geometry.theta_out == 30.0:
+                raise DeviceTimeout("detector stage: it did not arrive within 20 s.")
+            return await goto(geometry)
+
+        instrument.goto = jammed
+
+    asyncio.run(run(store, change=change))
+    for scan in store.scans():
+        failed = [p for p in store.points(scan.id) if p.status == "failed"]
+        assert [(p.geometry.theta_out, p.attempts) for p in failed] == [(30.0, 3)]
+        assert "did not arrive" in failed[0].reason
+        assert scan.outcome == "completed"
+    assert len(store.points(reference)) > 10
+
+
+def test_an_unplugged_device_fails_the_scan_at_once_and_the_run_goes_on_after_it_is_back(undisturbed, store):
+    gone = DeviceDisconnected("QE Pro: it is not on the bus any more; plug it in again.")
+    with pytest.raises(DeviceDisconnected):
+        asyncio.run(run(store, change=failing(gone, set(range(12, 10**4)))))
+    scan = next(s for s in store.scans() if s.outcome == "failed")
+    assert "plug it in" in scan.reason
+    asyncio.run(run(store))
+    assert content(store) == content(undisturbed[0])
+
+
+def test_a_silent_device_does_not_eat_up_the_whole_plan(store):
+    silent = DeviceTimeout("QE Pro: no answer within 1 s.")
+    with pytest.raises(DeviceTimeout):
+        asyncio.run(run(store, change=failing(silent, set(range(12, 10**4)))))
+    points = store.points(store.scans()[0].id)
+    assert sum(p.status == "failed" for p in points) == 3
+    assert any(p.status == "pending" for p in points)
+
+
+def test_other_devices_halfway_through_a_scan_are_refused(store):
+    def small_gain(instrument):
+        constants = instrument.constants
+
+        async def other():
+            return replace(await constants(), gain=1.0)
+
+        instrument.constants = other
+
+    with pytest.raises(DeviceDisconnected):
+        asyncio.run(run(store, change=failing(DeviceDisconnected("gone"), {8})))
+    with pytest.raises(StoreError, match="gain"):
+        asyncio.run(run(store, change=small_gain))
+
+
+def _run_and_die(database, point, place):
+    """Run the campaign and kill this process at the `point`-th point measured, at one of several places."""
+    store, done = Store.open(database), iter(range(1, 10**6))
+
+    def die():
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def change(instrument):
+        name = {"expose": "expose", "dark": "dark", "commit": None, "plan": None}[place]
+        if name is None:
+            return
+        original, count = getattr(instrument, name), iter(range(1, 10**6))
+
+        async def deadly(integration_time):
+            spectrum = await original(integration_time)
+            if next(count) >= (point if name == "expose" else 6):
+                die()
+            return spectrum
+
+        setattr(instrument, name, deadly)
+
+    if place == "commit":
+        finish = store.finish_point
+
+        def finish_and_die(*arguments):
+            finish(*arguments)
+            if next(done) >= point:
+                die()
+
+        store.finish_point = finish_and_die
+    if place == "plan":
+        add = store.add_points
+
+        def add_and_die(scan_id, geometries):
+            add(scan_id, geometries)
+            die()
+
+        store.add_points = add_and_die
+    asyncio.run(run(store, change=change))
+
+
+if __name__ == "__main__":
+    _run_and_die(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])

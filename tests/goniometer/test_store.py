@@ -1,0 +1,325 @@
+import errno
+import signal
+import sqlite3
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sqlalchemy import Engine, event
+
+from drivers.interfaces import Spectrum
+from goniometer.calibration import read_raw
+from goniometer.campaign import Campaign, Sample
+from goniometer.dataset import Dataset
+from goniometer.errors import CampaignError, NotInStore, StoreBusy, StoreError, StoreFull
+from goniometer.geometry import Geometry
+from goniometer.instrument import Constants
+from goniometer.store import Store
+
+CAMPAIGN = Campaign(
+    name="First light", samples=(Sample(name="Rough", material="sample-1"), Sample(name="Mirror", material="sample-6"))
+)
+CONSTANTS = Constants(
+    "QE Pro QEP00001",
+    {"sample stage": "SMC100"},
+    np.linspace(250, 1050, 1044) / 3,
+    np.array([0.998, 5e-8]),
+    200_000,
+    5.0,
+    0.005,
+    1.0,
+)
+
+
+@pytest.fixture
+def store(tmp_path):
+    opened = Store.open(tmp_path / "bench.db")
+    yield opened
+    opened.close()
+
+
+def spectrum(seed=0, integration_time=0.1):
+    counts = np.random.default_rng(seed).integers(0, 200_001, 1044, dtype=np.uint32)
+    return Spectrum(counts, integration_time, seed, -10.0)
+
+
+def first_point(store):
+    """Id of the first sample's scan, and its first of two points."""
+    scan_id = store.scans(store.add_campaign(CAMPAIGN))[1].id
+    store.add_points(scan_id, [Geometry(10.0, -30.0), Geometry(10.0, 10.0)])
+    return scan_id, store.points(scan_id)[0]
+
+
+def dataset():
+    random = np.random.default_rng(1)
+    shape = (3, 4)
+    brdf = random.random(shape)
+    brdf[1, 2] = np.nan
+    return Dataset(
+        "Rough",
+        np.array([0.1, 10, 20]),
+        np.array([-3.0, 1 / 3, 5]),
+        np.array([400.0, 500, 600, 700]),
+        brdf,
+        random.random(shape),
+        random.random(shape),
+        0.005,
+        1.0,
+        np.array([False, True, False]),
+        {"scan": 2, "exposures": [1, 2]},
+    )
+
+
+def test_a_campaign_becomes_a_reference_scan_and_one_scan_a_sample(store):
+    campaign_id = store.add_campaign(CAMPAIGN)
+    scans = store.scans(campaign_id)
+    assert [(s.kind, s.sample, s.material) for s in scans] == [
+        ("reference", "reference", "spectralon"),
+        ("sample", "Rough", "sample-1"),
+        ("sample", "Mirror", "sample-6"),
+    ]
+    assert {(s.phase, s.outcome) for s in scans} == {("idle", None)}
+    assert store.campaign(campaign_id) == CAMPAIGN
+    assert store.reference_scan(scans[2].id) == scans[0]
+
+
+def test_a_resume_with_a_changed_campaign_is_refused_in_one_line(store):
+    campaign_id = store.add_campaign(CAMPAIGN)
+    assert store.add_campaign(CAMPAIGN) == campaign_id
+    with pytest.raises(CampaignError, match=r'"First light".*other content') as caught:
+        store.add_campaign(CAMPAIGN.model_copy(update={"seed": 1}))
+    assert "\n" not in str(caught.value)
+
+
+def test_raw_counts_come_back_bit_for_bit(tmp_path):
+    store = Store.open(tmp_path / "bench.db")
+    scan_id, point = first_point(store)
+    store.save_constants(scan_id, CONSTANTS)
+    light, dark = [spectrum(1), spectrum(2)], [spectrum(3), spectrum(4)]
+    store.start_point(point.id)
+    store.add_darks(scan_id, dark)
+    store.finish_point(point, Geometry(10.003, -30.004), light, 12.5)
+    store.close()
+
+    reopened = Store.open(tmp_path / "bench.db")
+    raw = read_raw(reopened, scan_id)
+    assert raw.planned == (Geometry(10.0, -30.0),)
+    assert raw.read_back == (Geometry(10.003, -30.004),)
+    assert np.array_equal(raw.counts[0], [s.counts for s in light])
+    assert np.array_equal(raw.darks[0.1], [s.counts for s in dark])
+    assert np.array_equal(raw.constants.wavelengths, CONSTANTS.wavelengths)
+    assert (raw.constants.spectrometer, raw.constants.stages) == (CONSTANTS.spectrometer, CONSTANTS.stages)
+    done, waiting = reopened.points(scan_id)
+    assert (done.status, done.attempts, done.seconds) == ("done", 1, 12.5)
+    assert (waiting.status, waiting.read_back) == ("pending", None)
+    reopened.close()
+
+
+def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, tmp_path):
+    scan_id, point = first_point(store)
+    store.finish_point(point, point.geometry, [spectrum()], 1.0)
+    dataset_id = store.add_dataset(scan_id, dataset())
+    store.add_fit(dataset_id, "global", "{}")
+    other = sqlite3.connect(tmp_path / "bench.db")
+    for change in (
+        "UPDATE exposures SET integration_time = 1",
+        "DELETE FROM exposures",
+        "UPDATE datasets SET sample = 'x'",
+        "DELETE FROM fits",
+    ):
+        with pytest.raises(sqlite3.IntegrityError, match="only ever added"):
+            other.execute(change)
+    other.close()
+
+
+def test_a_dataset_comes_back_bit_for_bit_and_a_second_one_stands_beside_it(store):
+    scan_id, _ = first_point(store)
+    before = dataset()
+    first, second = store.add_dataset(scan_id, before), store.add_dataset(scan_id, before)
+    after = store.dataset(first)
+    assert after.content_hash == before.content_hash
+    assert np.array_equal(after.saturated, before.saturated)
+    assert after.lineage == before.lineage
+    assert (after.u_angle, after.aperture, after.sample) == (0.005, 1.0, "Rough")
+    assert store.datasets(scan_id) == {first: scan_id, second: scan_id}
+
+
+def test_fits_and_exports_stay_with_their_dataset(store, tmp_path):
+    scan_id, _ = first_point(store)
+    dataset_id = store.add_dataset(scan_id, dataset())
+    store.add_fit(dataset_id, "global", '{"w": 2.3}')
+    store.add_fit(dataset_id, "global", '{"w": 2.4}')
+    store.add_export(dataset_id, tmp_path / "a.bsdf", "mitsuba", "0" * 64)
+    assert [(f.kind, f.text) for f in store.fits(dataset_id)] == [("global", '{"w": 2.3}'), ("global", '{"w": 2.4}')]
+    assert [(e.kind, e.text) for e in store.exports(dataset_id)] == [("mitsuba", str(tmp_path / "a.bsdf"))]
+
+
+def test_a_point_that_was_being_measured_at_a_power_cut_is_measured_again(store):
+    scan_id, point = first_point(store)
+    store.start_point(point.id)
+    store.release_points(scan_id)
+    assert [(p.status, p.attempts) for p in store.points(scan_id)] == [("pending", 1), ("pending", 0)]
+
+
+def test_another_spectrometer_in_the_middle_of_a_scan_is_refused_and_another_stage_is_not(store):
+    scan_id, _ = first_point(store)
+    store.save_constants(scan_id, CONSTANTS)
+    store.save_constants(scan_id, replace(CONSTANTS, stages={"sample stage": "another"}))
+    with pytest.raises(StoreError, match="another spectrometer"):
+        store.save_constants(scan_id, replace(CONSTANTS, spectrometer="QE Pro QEP00002"))
+    with pytest.raises(StoreError, match="another wavelengths and gain"):
+        store.save_constants(scan_id, replace(CONSTANTS, gain=1.0, wavelengths=CONSTANTS.wavelengths + 1e-12))
+
+
+def test_another_process_can_ask_for_a_pause_but_only_of_a_running_scan(store, tmp_path):
+    scan_id, _ = first_point(store)
+    other = Store.open(tmp_path / "bench.db")
+    with pytest.raises(StoreError, match="idle"):
+        other.request(scan_id, "pause")
+    store.set_phase(scan_id, "running")
+    other.request(scan_id, "pause")
+    assert store.command(scan_id) == "pause"
+    assert other.scan(scan_id).phase == "pausing"
+    other.close()
+
+
+def test_what_is_not_there_is_named(store):
+    for ask in (store.scan, store.campaign, store.dataset):
+        with pytest.raises(NotInStore, match="77"):
+            ask(77)
+
+
+def test_a_second_run_on_the_same_database_is_refused_with_its_name(store, tmp_path):
+    other = Store.open(tmp_path / "bench.db")
+    with store.exclusive(), pytest.raises(StoreBusy, match=r"bench\.db"), other.exclusive():
+        pass
+    with other.exclusive():
+        pass
+    other.close()
+
+
+def test_a_killed_run_leaves_no_lock_behind(store, tmp_path):
+    script = f"""
+        import time
+        from goniometer.store import Store
+        with Store.open({str(tmp_path / "bench.db")!r}).exclusive():
+            print("locked", flush=True)
+            time.sleep(60)
+    """
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(script)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "locked\n"
+    with pytest.raises(StoreBusy), store.exclusive():
+        pass
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    with store.exclusive():
+        pass
+
+
+@pytest.mark.parametrize("content", [b"", None])
+def test_an_empty_or_missing_file_becomes_a_database(tmp_path, content):
+    path = tmp_path / "new.db"
+    if content is not None:
+        path.write_bytes(content)
+    store = Store.open(f"sqlite:///{path}")
+    assert store.campaigns() == {}
+    store.close()
+
+
+def test_a_file_that_is_no_database_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("This is a shopping list and not a database at all.\n" * 30)
+    with pytest.raises(StoreError, match="is not a database") as caught:
+        Store.open(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_the_database_of_another_program_or_version_is_refused_and_left_as_it_is(tmp_path):
+    path = tmp_path / "music.db"
+    with sqlite3.connect(path) as other:
+        other.execute("CREATE TABLE songs (title TEXT)")
+    other.close()
+    with pytest.raises(StoreError, match="another program"):
+        Store.open(path)
+    Store.open(tmp_path / "bench.db").close()
+    with sqlite3.connect(tmp_path / "bench.db") as old:
+        old.execute("UPDATE about SET schema_version = 99")
+    old.close()
+    with pytest.raises(StoreError, match="version 99"):
+        Store.open(tmp_path / "bench.db")
+
+
+def test_a_missing_folder_and_a_wrong_address_are_named(tmp_path):
+    with pytest.raises(StoreError, match="nowhere"):
+        Store.open(tmp_path / "nowhere" / "bench.db")
+    with pytest.raises(StoreError, match="://"):
+        Store.open("://")
+
+
+def fill(store, scan_id):
+    for seed in range(1000):
+        store.add_darks(scan_id, [spectrum(seed)])
+
+
+def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_path):
+    def limit(connection, _):
+        connection.execute("PRAGMA max_page_count = 60")
+
+    event.listen(Engine, "connect", limit)
+    try:
+        store = Store.open(tmp_path / "bench.db")
+        scan_id, point = first_point(store)
+        store.finish_point(point, point.geometry, [spectrum()], 1.0)
+        with pytest.raises(StoreFull, match="no room left"):
+            fill(store, scan_id)
+        assert store.points(scan_id)[0].status == "done"
+        assert np.array_equal(store.exposures(scan_id)[0].counts, spectrum().counts)
+        store.close()
+    finally:
+        event.remove(Engine, "connect", limit)
+
+
+def test_a_point_and_its_exposures_are_written_together_or_not_at_all(tmp_path):
+    def limit(connection, _):
+        connection.execute("PRAGMA max_page_count = 60")
+
+    event.listen(Engine, "connect", limit)
+    try:
+        store = Store.open(tmp_path / "bench.db")
+        scan_id, point = first_point(store)
+        with pytest.raises(StoreFull):
+            store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], 1.0)
+        assert store.points(scan_id)[0].status == "pending"
+        assert store.exposures(scan_id) == []
+        store.close()
+    finally:
+        event.remove(Engine, "connect", limit)
+
+
+def test_a_lock_that_finds_no_room_is_a_full_disk(tmp_path, monkeypatch):
+    store = Store.open(tmp_path / "bench.db")
+
+    def no_room(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("goniometer.database.FileLock.acquire", no_room)
+    with pytest.raises(StoreFull), store.exclusive():
+        pass
+    store.close()
+
+
+def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
+    _, point = first_point(store)
+    reader = sqlite3.connect(tmp_path / "bench.db", isolation_level=None)
+    reader.execute("BEGIN")
+    assert reader.execute("SELECT status FROM points").fetchall() == [("pending",), ("pending",)]
+    store.finish_point(point, point.geometry, [spectrum()], 1.0)
+    assert reader.execute("SELECT status FROM points").fetchall() == [("pending",), ("pending",)]
+    reader.execute("COMMIT")
+    assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]
+    reader.close()

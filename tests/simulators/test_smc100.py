@@ -1,0 +1,113 @@
+"""The simulated SMC100 speaks as its manual says, to any serial client."""
+
+from collections.abc import Iterator
+
+import pytest
+import serial
+
+from simulators.clock import SimulatedClock
+from simulators.motion import Axis
+from simulators.smc100 import SimulatedSMC100
+
+
+class Terminal:
+    """A person at a serial terminal."""
+
+    def __init__(self, url: str) -> None:
+        self._port = serial.serial_for_url(url, timeout=0.2)
+
+    def type(self, line: str) -> str:
+        """Send one line and return what comes back, "" for nothing."""
+        self._port.write(f"{line}\r\n".encode())
+        if self._answers(line):
+            return self._port.read_until(b"\r\n").decode().removesuffix("\r\n")
+        # a command has no reply; once a query behind it is answered it has been carried out
+        self._port.write(b"1TP\r\n")
+        assert self._port.read_until(b"\r\n").startswith(b"1TP")
+        return ""
+
+    @staticmethod
+    def _answers(line: str) -> bool:
+        return line[1:3] in {"TS", "TP", "TE", "VE"} or line.endswith("?")
+
+
+@pytest.fixture
+def clock() -> SimulatedClock:
+    return SimulatedClock()
+
+
+@pytest.fixture
+def simulator(clock: SimulatedClock) -> Iterator[SimulatedSMC100]:
+    simulator = SimulatedSMC100(Axis(clock, start=7.0, velocity=10, acceleration=20, limits=(-10, 100)))
+    yield simulator
+    simulator.close()
+
+
+def test_a_dialog_by_hand_homes_and_moves(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = Terminal(simulator.start())
+    assert terminal.type("1TS") == "1TS00000A"
+    terminal.type("1PA30")
+    assert terminal.type("1TE") == "1TEH"
+    terminal.type("1OR")
+    assert terminal.type("1TS") == "1TS00001E"
+    terminal.type("1OR")
+    assert terminal.type("1TE") == "1TEE"
+    clock.advance_to(20)
+    assert terminal.type("1TS") == "1TS000032"
+    terminal.type("1PA30")
+    assert terminal.type("1TE") == "1TE@"
+    assert terminal.type("1TS") == "1TS000028"
+    terminal.type("1PA10")
+    assert terminal.type("1TE") == "1TEM"
+    clock.advance_to(40)
+    assert terminal.type("1TP") == "1TP30.00000"
+    terminal.type("1PR-5.5")
+    clock.advance_to(60)
+    assert terminal.type("1TP") == "1TP24.50000"
+
+
+def test_what_the_manual_forbids_is_refused_with_its_letter(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = Terminal(simulator.start())
+    terminal.type("1OR")
+    clock.advance_to(20)
+    for line, letter in {"1PA101": "G", "1PAx": "C", "1XX": "A", "1OR": "K", "1VA0": "C", "1SL-11": "C"}.items():
+        terminal.type(line)
+        assert terminal.type("1TE") == f"1TE{letter}", line
+        assert terminal.type("1TE") == "1TE@", "an error is told once"
+    terminal.type("1MM0")
+    assert terminal.type("1TS") == "1TS00003C"
+    terminal.type("1PA1")
+    assert terminal.type("1TE") == "1TEJ"
+    terminal.type("1MM1")
+    assert terminal.type("1TS") == "1TS000032"
+
+
+def test_settings_are_remembered_and_limit_moves(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = Terminal(simulator.start())
+    terminal.type("1VA5")
+    assert terminal.type("1VA?") == "1VA5"
+    terminal.type("1SR20")
+    assert terminal.type("1SR?") == "1SR20"
+    terminal.type("1OR")
+    clock.advance_to(20)
+    terminal.type("1PA20.1")
+    assert terminal.type("1TE") == "1TEG"
+
+
+def test_only_the_first_command_of_a_line_counts_and_other_addresses_are_not_ours(
+    clock: SimulatedClock, simulator: SimulatedSMC100
+) -> None:
+    terminal = Terminal(simulator.start())
+    assert terminal.type("1TP 1TS") == "1TP7.00000"
+    terminal.type("2OR")
+    assert terminal.type("1TS") == "1TS00000A"
+
+
+def test_a_stopped_search_leaves_the_stage_unreferenced(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = Terminal(simulator.start())
+    terminal.type("1OR")
+    clock.advance_to(0.1)
+    terminal.type("1ST")
+    assert terminal.type("1TS") == "1TS000028", "it brakes"
+    clock.advance_to(5)
+    assert terminal.type("1TS") == "1TS00000A"
