@@ -24,7 +24,13 @@ from analysis.models import (
     shift_is_clamped,
     theta_m,
 )
-from analysis.propagation import ErrorSources, correlation, covariance_by_source, incidence_groups
+from analysis.propagation import (
+    ErrorSource,
+    correlation,
+    counting_errors,
+    covariance_by_source,
+    incidence_groups,
+)
 from analysis.results import ModelFit, Parameter
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
@@ -39,6 +45,7 @@ _ALPHAS = np.geomspace(0.002, 1.0, 32)
 _WS = np.arange(0.5, 10.01, 0.5)
 _SCAN_WAVELENGTHS = 8
 _LARGEST_W = 12.0
+_EVALUATIONS = 500
 _STEP = 1e-4
 _NAMES = ("alpha", "h", "w")
 _UNITS = ("1", "1/um", "1")
@@ -125,20 +132,29 @@ def cook_torrance_fit(dataset: Dataset, conductor: Conductor | None = None, weig
 def shift_fit(dataset: Dataset, conductor: Conductor | None = None, weighted: bool = False) -> ModelFit:
     """Fit alpha, h and w of Cook-Torrance times the shift (Eq. 7); arguments and errors as `cook_torrance_fit`.
 
-    Where the data do not determine w, because h or w is within three standard errors of zero or w ran beyond 12,
+    Where the data do not determine w, because h or w is within three standard errors of zero or w ran to 12,
     w is fixed at 0, which makes the slope the constant h; its standard error is then infinite, its correlations
     are zero, and the verdict says so.
     """
     data = _data(dataset, conductor or load_conductor(), weighted)
     start = _scan(data, with_shift=True)
     view = data.view(data.theta_in, data.theta_out, _aperture(dataset, start[0]))
-    parameters, cost = _minimise(data, view, start, free=3)
-    sigma = np.sqrt(np.diag(sum(_covariances(data, view, parameters, 3).values())))
-    determined = bool(abs(parameters[1]) > 3 * sigma[1] and 3 * sigma[2] < parameters[2] < _LARGEST_W)
-    free = 3 if determined else 2
+    # with w held the fit is always well posed; whether w can be let go is seen from there
+    parameters, cost = _minimise(data, view, start, free=2)
+    determined = _shift_is_determined(data, view, parameters)
+    if determined:
+        parameters, cost = _minimise(data, view, parameters, free=3)
+        determined = _shift_is_determined(data, view, parameters)
     if not determined:
-        parameters, cost = _minimise(data, view, (parameters[0], 0.0, 0.0), free)
+        parameters, cost = _minimise(data, view, (parameters[0], parameters[1], 0.0), free=2)
+    free = 3 if determined else 2
     return _result("cook-torrance-shift", data, view, parameters, cost, free, weighted, shift_determined=determined)
+
+
+def _shift_is_determined(data: _Data, view: _View, parameters: tuple[float, float, float]) -> bool:
+    """Whether both h and w are more than three standard errors from zero, and w is within its bound."""
+    sigma = np.sqrt(np.diag(sum(_covariances(data, view, parameters, 3).values())))
+    return bool(abs(parameters[1]) > 3 * sigma[1] and 3 * sigma[2] < parameters[2] < 0.999 * _LARGEST_W)
 
 
 def _data(dataset: Dataset, conductor: Conductor, weighted: bool) -> _Data:
@@ -215,7 +231,7 @@ def _scan(data: _Data, with_shift: bool) -> tuple[float, float, float]:
 def _minimise(
     data: _Data, view: _View, start: tuple[float, float, float], free: int
 ) -> tuple[tuple[float, float, float], float]:
-    """Best alpha, h, w and their cost; the first `free` of (log alpha, h, w) vary, w >= 0."""
+    """Best alpha, h, w and their cost; the first `free` of (log alpha, h, w) vary, w between 0 and 12."""
     import lmfit  # noqa: PLC0415  (takes most of a second)
 
     valid = data.root_weight > 0
@@ -228,12 +244,13 @@ def _minimise(
     parameters = lmfit.Parameters()
     parameters.add("log_alpha", value=math.log(start[0]))
     parameters.add("h", value=start[1] if free == 1 or start[1] != 0 else 1e-3, vary=free >= 2)
-    parameters.add("w", value=start[2], vary=free >= 3)
-    result = lmfit.minimize(residual, parameters, method="leastsq", calc_covar=False)
-    if not result.success:
+    parameters.add("w", value=start[2], vary=free >= 3, min=0.0, max=_LARGEST_W)
+    result = lmfit.minimize(residual, parameters, method="leastsq", calc_covar=False, max_nfev=_EVALUATIONS)
+    # beyond the codes that lmfit calls success, MINPACK's 6 to 8 say that rounding stops any further descent
+    if result.aborted or result.ier not in {1, 2, 3, 4, 6, 7, 8}:
         raise FitError(f"The fit to {data.dataset.sample} did not converge: {result.message}")
     best = result.params
-    return (math.exp(best["log_alpha"].value), best["h"].value, abs(best["w"].value)), float(result.chisqr)
+    return (math.exp(best["log_alpha"].value), best["h"].value, best["w"].value), float(result.chisqr)
 
 
 def _jacobian(view: _View, parameters: tuple[float, float, float], free: int) -> FloatArray:
@@ -248,26 +265,25 @@ def _jacobian(view: _View, parameters: tuple[float, float, float], free: int) ->
     )
 
 
-def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, float]) -> ErrorSources:
+def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, float]) -> dict[str, ErrorSource]:
     """What one standard uncertainty of every source does to the residuals; a stage error moves the true direction.
 
     The detector stage sets theta_in + theta_out: its error changes theta_out alone, while an error e of the sample
     stage changes theta_in by e and theta_out by -e.
     """
-    u, u_angle = data.dataset, data.dataset.u_angle
-    step = max(1e-3 * data.dataset.aperture, 1e-5)
+    dataset = data.dataset
+    step = max(1e-3 * dataset.aperture, 1e-5)
 
-    def derivative(d_in: float, d_out: float) -> FloatArray:
+    def effect(d_in: float, d_out: float) -> FloatArray:
         ahead = data.view(data.theta_in + d_in * step, data.theta_out + d_out * step, aperture)
         behind = data.view(data.theta_in - d_in * step, data.theta_out - d_out * step, aperture)
-        return np.asarray((ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step))
+        derivative = (ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step)
+        return np.asarray(derivative * dataset.u_angle)
 
-    return ErrorSources(
-        random=data.log_derivative * np.nan_to_num(u.u_random[data.points]),
-        reference=data.log_derivative * np.nan_to_num(u.u_reference[data.points]),
-        detector_stage=derivative(0.0, 1.0) * u_angle,
-        sample_stage=derivative(1.0, -1.0) * u_angle,
-    )
+    return counting_errors(dataset, data.points, data.log_derivative) | {
+        "detector_stage": ErrorSource(effect(0.0, 1.0), None, True),
+        "sample_stage": ErrorSource(effect(1.0, -1.0), incidence_groups(data.theta_in), True),
+    }
 
 
 def _covariances(data: _Data, view: _View, parameters: tuple[float, float, float], free: int) -> dict[str, FloatArray]:
@@ -280,7 +296,7 @@ def _covariances(data: _Data, view: _View, parameters: tuple[float, float, float
         return {"random": np.full((free, free), math.inf)}
     gain = (np.linalg.solve(normal, flat / size[:, None]) / size[:, None]).reshape(weighted.shape) * data.root_weight
     gain[0] *= parameters[0]
-    return covariance_by_source(gain, _errors(data, view.aperture, parameters), incidence_groups(data.theta_in))
+    return covariance_by_source(gain, _errors(data, view.aperture, parameters))
 
 
 def _result(
@@ -304,7 +320,7 @@ def _result(
     valid = data.root_weight > 0
     residual = (view.log_model(*parameters) - data.log_measured)[valid]
     errors = _errors(data, view.aperture, parameters)
-    expected = np.sqrt(sum(source**2 for source in errors))[valid]
+    expected = np.sqrt(sum(source.values**2 for source in errors.values()))[valid]
     around = data.log_measured[valid] - data.log_measured[valid].mean()
     alpha, h, w = parameters
     slope = cosine_slope(theta_m(in_plane(dataset.theta_in, dataset.theta_out)), h, w)

@@ -27,7 +27,7 @@ COVERAGE = 2
 
 _MAP_LIMITS = (-90.0, 90.0)
 _MISSING = "#80808026"
-_LEAST_SIGNAL = 10.0  # signal over standard uncertainty below which a hue or a single spectrum is noise
+_LEAST_SIGNAL = 20.0  # signal over standard uncertainty below which a hue or a single spectrum is noise
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def colour_map(
     """In-plane map of `values` [points, wavelengths], 1/sr, as colours under D65 (Fig. 5).
 
     With `exposure` None every cell is shown at the same luminance, so that only its hue is left; cells whose
-    signal at 600 nm is below ten standard uncertainties stay pale then. Tooltips give
+    signal at 600 nm is below twenty standard uncertainties stay pale then. Tooltips give
     the angles and, for `measured` values, the BRDF at 600 nm with its standard uncertainty.
     """
     rgb = brdf_to_rgb(values, dataset.theta_in, dataset.wavelengths)
@@ -217,12 +217,12 @@ def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0
     """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
 
     Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with its expanded
-    uncertainty, lines the local fit. Spectra that are unreliable or weaker than ten standard uncertainties are
+    uncertainty, lines the local fit. Spectra that are unreliable or weaker than twenty standard uncertainties are
     not chosen.
     """
     groups = incidence_groups(dataset.theta_in)
     nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
-    clear = local.scale > _LEAST_SIGNAL * np.nanmedian(dataset.u, axis=1)
+    clear = local.scale > _LEAST_SIGNAL * at_wavelength(dataset, local.lambda_n)[1]
     usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
     usable = usable[np.argsort(dataset.theta_out[usable])]
     directions = dataset.theta_out[usable]

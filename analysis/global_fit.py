@@ -12,7 +12,7 @@ from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.local_fit import local_gain, shifted_fresnel
 from analysis.models import cosine_slope, shift_is_clamped
-from analysis.propagation import ErrorSources, correlation, covariance_by_source, incidence_groups
+from analysis.propagation import correlation, counting_errors, covariance_by_source
 from analysis.results import LocalFit, ModelFit, Parameter, Verdict
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -55,9 +55,8 @@ def global_fit(dataset: Dataset, local: LocalFit, conductor: Conductor | None = 
     gain = np.zeros((4, *dataset.brdf.shape))
     gain[:3, used] = estimator[:, :, None] * gain_of_slope[used]
     gain[3, used] = share[:, None] * gain_of_exponent[used]
-    nothing = np.zeros_like(dataset.brdf)
-    errors = ErrorSources(np.nan_to_num(dataset.u_random), np.nan_to_num(dataset.u_reference), nothing, nothing)
-    covariance = sum(covariance_by_source(gain, errors, incidence_groups(dataset.theta_in)).values())
+    everywhere = np.ones(used.size, dtype=bool)
+    covariance = sum(covariance_by_source(gain, counting_errors(dataset, everywhere)).values())
     scatter = np.sqrt(max(chi2 / (count - 3), 1.0))
     scatter_p = np.sqrt(max(float(np.sum(((local.exponent[used] - p) / u_exponent) ** 2)) / (count - 1), 1.0))
     inflation = np.array([scatter, scatter, scatter, scatter_p])

@@ -10,26 +10,44 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.dataset import Dataset
 
 SAME_INCIDENCE = 0.05
 """Read-back incident angles closer than this belong to one position of the sample stage, degrees."""
 
-
-class ErrorSources(NamedTuple):
-    """One standard uncertainty of every source of error, as a change of the data; all [points, wavelengths]."""
-
-    random: FloatArray
-    """Independent everywhere."""
-    reference: FloatArray
-    """Independent between wavelengths, shared by the points of one incident angle."""
-    detector_stage: FloatArray
-    """Independent between points, shared by the wavelengths of a point."""
-    sample_stage: FloatArray
-    """Shared by the wavelengths and points of one incident angle."""
+Groups = NDArray[np.intp]
+"""[points] number, from 0, of the group that a point belongs to."""
 
 
-def incidence_groups(theta_in: FloatArray) -> NDArray[np.intp]:
+class ErrorSource(NamedTuple):
+    """One source of error: its standard uncertainty as a change of the data, and who shares the error."""
+
+    values: FloatArray
+    """[points, wavelengths]"""
+    groups: Groups | None
+    """Points of one group have the same error; None where every point has its own."""
+    shared_by_wavelengths: bool
+    """Whether all wavelengths of a point have the same error."""
+
+
+def counting_errors(dataset: Dataset, points: BoolArray, factor: FloatArray | float = 1.0) -> dict[str, ErrorSource]:
+    """What the noise of counts, of the sample's scan and of the reference's, does to data = `factor` x BRDF.
+
+    `points` [all points] says which points to take; `factor` [points, wavelengths] is the derivative of a datum by
+    the BRDF. Values that do not exist count as free of error, as nothing is fitted to them.
+    """
+    _, times = np.unique(dataset.integration_time[points], return_inverse=True)
+    together = np.zeros_like(times)
+    incidence = incidence_groups(dataset.theta_in[points])
+    shared = {"random": None, "dark": times, "reference": incidence, "reference_dark": together}
+    return {
+        name: ErrorSource(factor * np.nan_to_num(getattr(dataset, f"u_{name}")[points]), groups, False)
+        for name, groups in shared.items()
+    }
+
+
+def incidence_groups(theta_in: FloatArray) -> Groups:
     """[points] number, from 0, of the incident angle that a point belongs to; `theta_in` in degrees.
 
     Angles are as read back, so neighbours within 0.05 degrees are one position of the stage.
@@ -40,7 +58,7 @@ def incidence_groups(theta_in: FloatArray) -> NDArray[np.intp]:
     return groups
 
 
-def _shared(values: FloatArray, groups: NDArray[np.intp]) -> FloatArray:
+def _shared(values: FloatArray, groups: Groups) -> FloatArray:
     """[parameters, ..., groups] sums of [parameters, points, ...] over the points of each group."""
     member = groups[:, None] == np.arange(groups.max() + 1)
     return np.tensordot(values, member.astype(float), axes=(1, 0))
@@ -52,18 +70,19 @@ def _outer(values: FloatArray) -> FloatArray:
     return np.asarray(flat @ flat.T)
 
 
-def covariance_by_source(gain: FloatArray, errors: ErrorSources, groups: NDArray[np.intp]) -> dict[str, FloatArray]:
-    """[parameters, parameters] covariance that each source gives, by its name in `ErrorSources`.
+def covariance_by_source(gain: FloatArray, errors: dict[str, ErrorSource]) -> dict[str, FloatArray]:
+    """[parameters, parameters] covariance that each source gives, by its name.
 
     `gain` is [parameters, points, wavelengths]: derivative of each parameter by each datum, zero where a datum
-    was left out. `groups` as `incidence_groups`. The covariance of the fit is their sum.
+    was left out. The covariance of the fit is their sum.
     """
-    return {
-        "random": _outer(gain * errors.random),
-        "reference": _outer(_shared(gain * errors.reference, groups)),
-        "detector_stage": _outer((gain * errors.detector_stage).sum(axis=-1)),
-        "sample_stage": _outer(_shared((gain * errors.sample_stage).sum(axis=-1), groups)),
-    }
+    found = {}
+    for name, source in errors.items():
+        effect = gain * source.values
+        if source.shared_by_wavelengths:
+            effect = effect.sum(axis=-1, keepdims=True)
+        found[name] = _outer(effect if source.groups is None else _shared(effect, source.groups))
+    return found
 
 
 def correlation(covariance: FloatArray) -> FloatArray:

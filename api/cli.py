@@ -9,9 +9,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
-import click
 import typer
 from rich.console import Console
 
@@ -32,7 +31,6 @@ from goniometer.store import Store
 
 app = typer.Typer(
     help="Drives a spectral gonioreflectometer, calibrates what it measures, fits the BRDF and exports it.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
@@ -43,6 +41,7 @@ DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name o
 DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for fits, rendering files and reports.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name of its own
 DATABASE = Path("goniometer.db")
 OUTPUT = Path("results")
 
@@ -218,11 +217,11 @@ def _existing(database: Path) -> Store:
 def main() -> NoReturn:
     """Entry point of `goniometer`: runs a command and turns typed errors into one line and an exit code."""
     try:
-        app(standalone_mode=False)
+        app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except typer.Exit as ending:
         sys.exit(ending.exit_code)
-    except click.ClickException as error:
-        _fail(error.format_message(), error.exit_code)
+    except UsageError as error:
+        _fail(f"{error.format_message().rstrip('.')}; see goniometer --help", 2)
     except (GoniometerError, AnalysisError) as error:
         _fail(str(error), error.exit_code)
     except DriverError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.table import Table
 
 from analysis.notation import with_uncertainty
@@ -116,13 +117,20 @@ def _true_value(name: str, parameter: str, model: str, *, known: bool) -> dict[s
 
 def table(samples: list[SampleOutcome]) -> Table:
     """The paper's Table 2 for these samples, with what it took and what was found."""
-    shown = Table(title="Mean CIEDE2000 difference between measurement and fit", title_justify="left")
+    shown = Table(
+        title="Mean CIEDE2000 difference between measurement and fit, absolute / chromatic",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 0),
+    )
     shown.add_column("Sample", no_wrap=True)
-    shown.add_column("Points\n(1° grid)", justify="right")
-    shown.add_column("Cook-Torrance\nabsolute / chromatic", justify="right")
-    shown.add_column("with shift\nabsolute / chromatic", justify="right")
-    shown.add_column("alpha, h in 1/µm, w\nk = 1 (true value)")
-    shown.add_column("Trusted")
+    shown.add_column("Points of\n1° grid", justify="right", no_wrap=True)
+    shown.add_column("Cook-\nTorrance", justify="right", no_wrap=True)
+    shown.add_column("with\nshift", justify="right", no_wrap=True)
+    shown.add_column("Shift model\n(h in 1/µm), k = 1", no_wrap=True)
+    shown.add_column("True", no_wrap=True)
+    shown.add_column("Trust", no_wrap=True)
     for sample in samples:
         fits = [
             " / ".join(f"{sample.dE00[model][kind]['mean']:.2f}" for kind in ("absolute", "chromatic"))
@@ -130,16 +138,14 @@ def table(samples: list[SampleOutcome]) -> Table:
             else "-"
             for model in ("cook-torrance", "cook-torrance-shift")
         ]
-        parameters = "\n".join(
-            f"{p['name']} = {_with_error(p)}" + (f" ({p['true']:g})" if "true" in p else "")
-            for p in sample.parameters.get("cook-torrance-shift", [])
-        )
+        parameters = sample.parameters.get("cook-torrance-shift", [])
         trusted = sample.trusted.get("cook-torrance-shift")
         shown.add_row(
             sample.sample,
-            f"{sample.points}\n({sample.uniform_1_degree_points})",
+            f"{sample.points}\n{sample.uniform_1_degree_points}",
             *fits,
-            parameters or (sample.reason or sample.phase),
+            "\n".join(f"{p['name']:5} {_with_error(p)}" for p in parameters) or sample.outcome or sample.phase,
+            "\n".join(f"{p['true']:g}" if "true" in p else "-" for p in parameters),
             "-" if trusted is None else "yes" if trusted else "NO",
         )
     return shown

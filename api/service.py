@@ -108,7 +108,8 @@ async def run(store: Store, campaign: Campaign, output: Path, settings: Instrume
             dataset_id = store.add_dataset(scan.id, dataset)
             waiting[dataset_id] = start_derivation(executor, store, scan, dataset, output)
 
-        campaign_id = find_campaign(store, campaign)
+        # a campaign that has begun must not have changed since; a new one is written once the bench answers
+        campaign_id = store.add_campaign(campaign) if campaign.name in store.campaigns().values() else None
         if campaign_id is None or not _measured(store, campaign_id):
             async with open_bench(settings, campaign.seed, watch.mount) as (instrument, mount):
                 campaign_id = await run_campaign(store, campaign, instrument, mount, watch.report, finished)
@@ -121,11 +122,6 @@ async def run(store: Store, campaign: Campaign, output: Path, settings: Instrume
                 watch.note(f"Fitting {store.dataset(dataset_id).sample}")
             keep(store, dataset_id, future.result())
     return campaign_id
-
-
-def find_campaign(store: Store, campaign: Campaign) -> int | None:
-    """Id of the campaign of this name, or None where it has never been started."""
-    return {name: campaign_id for campaign_id, name in store.campaigns().items()}.get(campaign.name)
 
 
 def _measured(store: Store, campaign_id: int) -> bool:

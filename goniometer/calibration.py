@@ -16,6 +16,7 @@ ratio of the denominator, which at the dim ends of the spectrum is too low in a 
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,7 +75,9 @@ class Signal:
     rate: FloatArray
     """[points, pixels] counts per second."""
     variance: FloatArray
-    """[points, pixels] variance of `rate` by shot, read-out and dark noise."""
+    """[points, pixels] variance of `rate` by shot and read-out noise of the point's own spectra."""
+    dark_variance: FloatArray
+    """[points, pixels] variance of `rate` by the noise of the mean dark, which all points of one time share."""
     saturated: BoolArray
     """[points, pixels] whether a scan was saturated there."""
 
@@ -90,7 +93,9 @@ class Response:
     value: FloatArray
     """[points, pixels] counts per second and 1/sr."""
     variance: FloatArray
-    """[points, pixels] variance of `value`."""
+    """[points, pixels] variance of `value` by the point's own spectra."""
+    dark_variance: FloatArray
+    """[points, pixels] variance of `value` by the mean dark."""
     saturated: BoolArray
     """[points, pixels]"""
 
@@ -110,7 +115,7 @@ def signal(raw: RawScan) -> Signal:
                 f"Scan {raw.scan_id} has only {len(darks)} dark spectrum of {time:g} s; two are needed for the noise"
             )
         dark_of[time] = darks.mean(axis=0), float(darks.var(axis=0, ddof=1).mean()), len(darks)
-    rates, variances = [], []
+    rates, variances, dark_variances = [], [], []
     for counts, time in zip(raw.counts, raw.integration_times, strict=True):
         if float(time) not in dark_of:
             raise CalibrationError(
@@ -120,11 +125,12 @@ def signal(raw: RawScan) -> Signal:
         above = counts.mean(axis=0) - dark
         factor = np.polynomial.polynomial.polyval(above, constants.nonlinearity)
         linear = above / factor
-        noise = dark_variance / factor**2 * (1 / len(counts) + 1 / darks_taken)
+        read_out = dark_variance / factor**2
         rates.append(linear / time)
-        variances.append((np.maximum(linear, 0) / constants.gain / len(counts) + noise) / time**2)
+        variances.append((np.maximum(linear, 0) / constants.gain + read_out) / len(counts) / time**2)
+        dark_variances.append(read_out / darks_taken / time**2)
     saturated = [np.any(counts >= constants.saturation, axis=0) for counts in raw.counts]
-    return Signal(np.array(rates), np.array(variances), np.array(saturated))
+    return Signal(np.array(rates), np.array(variances), np.array(dark_variances), np.array(saturated))
 
 
 def response(reference: RawScan, certificate: Certificate, settings: Settings = Settings()) -> Response:
@@ -145,6 +151,7 @@ def response(reference: RawScan, certificate: Certificate, settings: Settings = 
         theta_out,
         measured.rate / panel,
         measured.variance / panel**2,
+        measured.dark_variance / panel**2,
         measured.saturated,
     )
 
@@ -166,7 +173,7 @@ def calibrate(
     groups = _bins(wavelengths, settings)
     measured = signal(sample)
     known = response(reference, certificate, settings)
-    value, u_random, u_reference, saturated = _ratio(sample, measured, known, groups)
+    ratio = _ratio(sample, measured, known, groups)
     cosine = np.cos(np.radians([g.theta_in for g in sample.read_back]))[:, None]
     centres = wavelengths @ groups / groups.sum(axis=0)
     return Dataset(
@@ -174,9 +181,12 @@ def calibrate(
         theta_in=np.array([g.theta_in for g in sample.read_back]),
         theta_out=np.array([g.theta_out for g in sample.read_back]),
         wavelengths=centres,
-        brdf=np.where(saturated, np.nan, value / cosine),
-        u_random=np.where(saturated, np.nan, u_random / cosine),
-        u_reference=np.where(saturated, np.nan, u_reference / cosine),
+        brdf=np.where(ratio.saturated, np.nan, ratio.value / cosine),
+        u_random=np.where(ratio.saturated, np.nan, ratio.u_random / cosine),
+        u_dark=np.where(ratio.saturated, np.nan, ratio.u_dark / cosine),
+        u_reference=np.where(ratio.saturated, np.nan, ratio.u_reference / cosine),
+        u_reference_dark=np.where(ratio.saturated, np.nan, ratio.u_reference_dark / cosine),
+        integration_time=sample.integration_times,
         u_angle=sample.constants.u_angle,
         aperture=sample.constants.aperture,
         saturated=np.asarray(measured.saturated.any(axis=1)),
@@ -202,8 +212,8 @@ def band_values(sample: RawScan, known: Response) -> tuple[FloatArray, FloatArra
     """
     wavelengths = sample.constants.wavelengths
     groups = np.array([(wavelengths >= low) & (wavelengths <= high) for low, high in BANDS], dtype=float).T
-    value, u_random, _, _ = _ratio(sample, signal(sample), known, groups)
-    return value, u_random
+    ratio = _ratio(sample, signal(sample), known, groups)
+    return ratio.value, np.hypot(ratio.u_random, ratio.u_dark)
 
 
 def _bins(wavelengths: FloatArray, settings: Settings) -> FloatArray:
@@ -220,25 +230,38 @@ def _bins(wavelengths: FloatArray, settings: Settings) -> FloatArray:
     return groups
 
 
-def _ratio(
-    sample: RawScan, measured: Signal, known: Response, groups: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Sum of signals over sum of responses for groups of pixels [pixels, groups].
+class _Ratio(NamedTuple):
+    """cos(theta_in) f and its standard uncertainties by source, as in `Dataset`; all [points, groups], 1/sr."""
 
-    Returns value, u_random, u_reference and whether a pixel was saturated, each [points, groups].
-    """
+    value: FloatArray
+    u_random: FloatArray
+    u_dark: FloatArray
+    u_reference: FloatArray
+    u_reference_dark: FloatArray
+    saturated: BoolArray
+
+
+def _ratio(sample: RawScan, measured: Signal, known: Response, groups: FloatArray) -> _Ratio:
+    """Sum of signals over sum of responses for groups of pixels [pixels, groups]."""
     weights = _weights(sample, known)
-    total, total_variance = measured.rate @ groups, measured.variance @ groups
     divisor = weights @ (known.value @ groups)
-    divisor_variance = weights**2 @ (known.variance @ groups)
     saturated = (measured.saturated @ groups > 0) | ((weights > 0) @ known.saturated @ groups > 0)
     if np.any(divisor <= 0):
         raise CalibrationError(
             f"The reference scan of scan {sample.scan_id} shows no light at some wavelengths; "
             f"check lamp and fibre and repeat it, or calibrate a narrower range"
         )
-    value = total / divisor
-    return value, np.sqrt(total_variance) / divisor, np.abs(value) * np.sqrt(divisor_variance) / divisor, saturated
+    value = measured.rate @ groups / divisor
+    relative = np.abs(value) / divisor
+    return _Ratio(
+        value,
+        np.sqrt(measured.variance @ groups) / divisor,
+        np.sqrt(measured.dark_variance @ groups) / divisor,
+        relative * np.sqrt(weights**2 @ (known.variance @ groups)),
+        # Reference points share their dark, so its error does not average out between them.
+        relative * (weights @ np.sqrt(known.dark_variance @ groups)),
+        saturated,
+    )
 
 
 def _weights(sample: RawScan, known: Response) -> FloatArray:

@@ -67,6 +67,14 @@ class Database:
         finally:
             lock.release()
 
+    def in_use(self) -> bool:
+        """Whether some process holds `exclusive` now."""
+        try:
+            with self.exclusive():
+                return False
+        except StoreBusy:
+            return True
+
     @contextmanager
     def _faults(self) -> Iterator[None]:
         """Turn what the database or the disk refuses into this floor's errors."""

@@ -1,5 +1,6 @@
 """A calibrated in-plane spectral BRDF: what calibration makes and everything after it reads."""
 
+import dataclasses
 import hashlib
 from dataclasses import dataclass, field
 
@@ -24,9 +25,17 @@ class Dataset:
     """[points, wavelengths] 1/sr; NaN where no valid value exists (saturated pixels)."""
     u_random: FloatArray
     """[points, wavelengths] standard uncertainty from the point's own counts, 1/sr; independent everywhere."""
+    u_dark: FloatArray
+    """[points, wavelengths] standard uncertainty passed on by the mean dark signal, 1/sr; independent between
+    wavelengths, the same error for all points of one integration time."""
     u_reference: FloatArray
-    """[points, wavelengths] standard uncertainty passed on by the noise of the reference scan, 1/sr;
+    """[points, wavelengths] standard uncertainty passed on by the counts of the reference scan, 1/sr;
     independent between wavelengths, taken as fully correlated between the points of one incident angle."""
+    u_reference_dark: FloatArray
+    """[points, wavelengths] standard uncertainty passed on by the mean dark signal of the reference scan, 1/sr;
+    independent between wavelengths, taken as fully correlated between all points."""
+    integration_time: FloatArray
+    """[points] seconds; points of one integration time share their dark spectra."""
     u_angle: float
     """Standard uncertainty of one stage position, degrees; independent between moves of a stage."""
     aperture: float
@@ -39,19 +48,14 @@ class Dataset:
     @property
     def u(self) -> FloatArray:
         """[points, wavelengths] combined standard uncertainty (coverage factor 1), 1/sr."""
-        return np.hypot(self.u_random, self.u_reference)
+        return np.sqrt(self.u_random**2 + self.u_dark**2 + self.u_reference**2 + self.u_reference_dark**2)
 
     @property
     def content_hash(self) -> str:
         """SHA-256 of all numbers, so that a fit can say what exactly it was fitted to."""
         digest = hashlib.sha256(self.sample.encode())
-        for array in (
-            self.theta_in,
-            self.theta_out,
-            self.wavelengths,
-            self.brdf,
-            self.u_random,
-            self.u_reference,
-        ):
-            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        for each in dataclasses.fields(self):
+            array = getattr(self, each.name)
+            if isinstance(array, np.ndarray):
+                digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()

@@ -121,11 +121,14 @@ def uniform_grid_size(spec: PlanSpec, step: float = 1.0) -> int:
 
 
 def reference_points(spec: PlanSpec, step: float = 10.0) -> list[Geometry]:
-    """The directions of the reference scan: a grid of `step` degrees with all edges and ends, in visiting order.
+    """The directions of the reference scan: every `step` degrees from one end, and all edges; in visiting order.
 
-    A sample's point finds the instrument's response by interpolation between them.
+    A sample's point finds the instrument's response by interpolation between them. The default range avoids
+    theta_out = 0, where the azimuth of the reflected light turns over and the panel's nominal BRDF jumps.
     """
-    return _sweep({t: _grid(spec, t, step) for t in spec.theta_in})
+    count = int(np.floor((spec.highest - spec.lowest) / step + _SAME)) + 1
+    wanted = [float(spec.lowest + step * i) for i in range(count)]
+    return _sweep({t: _within(spec, t, wanted) for t in spec.theta_in})
 
 
 def _uniform(spec: PlanSpec, step: float) -> list[Geometry]:
@@ -135,23 +138,21 @@ def _uniform(spec: PlanSpec, step: float) -> list[Geometry]:
     return [geometry for geometry in grid if not geometry.blocked]
 
 
-def _grid(spec: PlanSpec, theta_in: float, step: float, extra: tuple[float, ...] = ()) -> list[float]:
-    """Multiples of `step` and `extra` within the measurable segments, with the segments' ends; ascending."""
-    multiples = step * np.arange(np.ceil(spec.lowest / step), np.floor(spec.highest / step) + 1)
-    wanted = sorted({*map(float, multiples), *extra})
+def _within(spec: PlanSpec, theta_in: float, wanted: list[float]) -> list[float]:
+    """Those of `wanted` that lie in the measurable segments, and the segments' ends; ascending."""
     angles: list[float] = []
     for low, high in segments(spec, theta_in):
-        inside = [a for a in wanted if low < a < high]
+        inside = [a for a in sorted(wanted) if low < a < high]
         angles += [low, *_without(inside, [low, high]), *([high] if high > low else [])]
     return angles
 
 
 def _coarse(spec: PlanSpec, theta_in: float) -> list[float]:
     """Directions of the coarse sweep, ascending; grid points next to a mirror neighbour give way to it."""
-    near = tuple(theta_in + offset for offset in MIRROR_OFFSETS)
-    angles = _grid(spec, theta_in, spec.coarse_step, near)
-    keep = {*near, *(end for segment in segments(spec, theta_in) for end in segment)}
-    return [a for a in angles if a in keep or min(abs(a - b) for b in near) >= 1.0]
+    near = [theta_in + offset for offset in MIRROR_OFFSETS]
+    step = spec.coarse_step
+    grid = [float(a) for a in step * np.arange(np.ceil(spec.lowest / step), np.floor(spec.highest / step) + 1)]
+    return _within(spec, theta_in, near + [a for a in grid if min(abs(a - b) for b in near) >= 1.0])
 
 
 def _without(angles: list[float], others: list[float]) -> list[float]:

@@ -130,7 +130,18 @@ def exposure_row(scan_id: int, point_id: int | None, kind: str, spectrum: Spectr
     }
 
 
-_DATASET_ARRAYS = ("theta_in", "theta_out", "wavelengths", "brdf", "u_random", "u_reference", "saturated")
+_DATASET_ARRAYS = (
+    "theta_in",
+    "theta_out",
+    "wavelengths",
+    "brdf",
+    "u_random",
+    "u_dark",
+    "u_reference",
+    "u_reference_dark",
+    "integration_time",
+    "saturated",
+)
 
 
 def pack_dataset(dataset: Dataset) -> bytes:

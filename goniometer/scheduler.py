@@ -55,6 +55,8 @@ POLL = 0.2
 TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse sweep, before anything is known about it."""
 
+_ABORTED = "The operator aborted it; run the campaign again to go on where it stood."
+
 Mount = Callable[[Scan], Awaitable[None]]
 """Called before a scan; returns when its sample, or the reference panel, lies on the bench."""
 Report = Callable[[Progress], None]
@@ -128,7 +130,7 @@ async def _unless_aborted(store: Store, scan_id: int, work: Awaitable[None]) -> 
         while not task.done():
             await asyncio.wait({task}, timeout=POLL)
             if not task.done() and store.command(scan_id) == "abort":
-                raise RunAborted("The operator aborted it; run the campaign again to go on where it stood.")
+                raise RunAborted(_ABORTED)
     finally:
         if not task.done():
             task.cancel()
@@ -167,7 +169,7 @@ class _Run:
                 failure = await self._attempt(point)
                 self.done += 1
                 self.failed += failure is not None
-                failures = failures + 1 if failure else 0
+                failures = failures + 1 if isinstance(failure, DriverError) else 0
                 if failure and failures >= FAILURES_IN_A_ROW:
                     raise failure
                 self.tell("running", point.geometry)
@@ -250,16 +252,18 @@ class _Run:
 
     async def _obey(self) -> None:
         """Do what was asked for between two points: pause until resumed, or raise `RunAborted`."""
-        if self.store.command(self.scan.id) == "pause":
+        command = self.store.command(self.scan.id)
+        if command == "pause":
             self.store.clear_command(self.scan.id)
             await self.instrument.safe()
             self.store.set_phase(self.scan.id, "paused")
             self.tell("paused")
-            while self.store.command(self.scan.id) not in {"resume", "abort"}:  # noqa: ASYNC110 (another process answers)
+            # Another process answers, so there is no event to wait for.
+            while (command := self.store.command(self.scan.id)) not in {"resume", "abort"}:  # noqa: ASYNC110
                 await asyncio.sleep(POLL)
-        if self.store.command(self.scan.id) == "abort":
-            raise RunAborted("The operator aborted it; run the campaign again to go on where it stood.")
-        if self.store.command(self.scan.id) == "resume":
+        if command == "abort":
+            raise RunAborted(_ABORTED)
+        if command == "resume":
             self.store.clear_command(self.scan.id)
             self.store.set_phase(self.scan.id, "running")
 

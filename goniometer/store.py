@@ -142,6 +142,11 @@ class Store(Database):
         scan = self.scan(scan_id)
         if scan.phase in {"idle", "finished"}:
             raise StoreError(f"Scan {scan_id} is {scan.phase}, so it cannot {command}; name a scan that is running")
+        if not self.in_use():
+            raise StoreError(
+                f"Scan {scan_id} cannot {command}, because the process that ran it has ended; "
+                f"run its campaign again to go on where it stood"
+            )
         phase: Phase = scan.phase
         if command == "abort":
             phase = "aborting"

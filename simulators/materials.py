@@ -126,7 +126,9 @@ def true_brdf(
     value = np.zeros((theta_in.size, wavelengths.size))
     above = (np.abs(theta_in) < 90) & (np.abs(theta_out) < 90)
     if isinstance(what, Panel):
-        value[above] = reference_brdf(theta_in[above], theta_out[above], wavelengths, what.certificate)
+        # The formula jumps where theta_in changes sign, which no real panel does: a stage that stands at -0.004 degrees
+        # instead of 0 must not exchange forward and back.
+        value[above] = reference_brdf(np.abs(theta_in[above]), theta_out[above], wavelengths, what.certificate)
         return value
     index = aluminium_beyond_its_table().index(wavelengths)
     for point in np.flatnonzero(above):

@@ -17,11 +17,11 @@ U_ANGLE = 0.005
 def _directions(alpha: float, incident: Sequence[float]) -> tuple[FloatArray, FloatArray]:
     """Directions as a dynamic plan takes them: dense in the lobe, sparse elsewhere, none of them blocked."""
     width = 2 * np.degrees(alpha)
-    offsets = np.concatenate([-np.geomspace(0.3 * width, 170, 8)[::-1], [0.0], np.geomspace(0.3 * width, 170, 8)])
+    offsets = np.concatenate([-np.geomspace(0.3 * width, 170, 4)[::-1], [0.0], np.geomspace(0.3 * width, 170, 4)])
     pairs = [
         (theta, theta + offset)
         for theta in incident
-        for offset in np.unique(np.concatenate([offsets, np.arange(-150.0, 160, 5)]))
+        for offset in np.unique(np.concatenate([offsets, np.arange(-150.0, 160, 4)]))
         if abs(theta + offset) <= 85 and abs(2 * theta + offset) >= 5
     ]
     theta_in, theta_out = np.array(pairs, dtype=float).T
@@ -43,8 +43,10 @@ def _measure(
 ) -> Dataset:
     """Cook-Torrance with shift, measured.
 
-    `noise` is relative and `floor` absolute (1/sr), both independent everywhere; `reference` is relative and
-    shared by the points of one incident angle; `rule` is the rings and spokes over which the aperture averages.
+    `noise` is relative and `floor` absolute (1/sr), both independent everywhere; a quarter of `noise` comes again
+    as the dark's error, shared by the points of one integration time; `reference` is relative, half of its variance
+    shared by all points and half by those of one incident angle; `rule` is the rings and spokes over which the
+    aperture averages.
     """
     rng = np.random.default_rng(seed)
     theta_in, theta_out = _directions(alpha, incident)
@@ -59,9 +61,13 @@ def _measure(
     for i in range(theta_in.size):  # one by one, for a fine rule does not fit into memory otherwise
         nodes = through_aperture(true_in[i : i + 1], true_out[i : i + 1], aperture)
         clean[i] = aperture.weights @ cook_torrance(nodes, wavelengths, alpha, load_conductor(), h, w)[0]
-    u_random, u_reference = np.hypot(noise * clean, floor), reference * clean
-    shared = rng.standard_normal((len(incident), wavelengths.size))[group]
-    brdf = clean + u_random * rng.standard_normal(clean.shape) + u_reference * shared
+    time = np.where(np.abs(theta_out - theta_in) < 30, 1.0, 4.0)
+    u_random, u_dark = np.hypot(noise * clean, floor), 0.25 * noise * clean
+    u_reference = np.sqrt(0.5) * reference * clean
+    dark = rng.standard_normal((2, wavelengths.size))[np.unique(time, return_inverse=True)[1]]
+    of_one_angle = rng.standard_normal((len(incident), wavelengths.size))[group]
+    of_all = rng.standard_normal(wavelengths.size)
+    brdf = clean + u_random * rng.standard_normal(clean.shape) + u_dark * dark + u_reference * (of_one_angle + of_all)
     return Dataset(
         sample=f"alpha {alpha:g}",
         theta_in=theta_in,
@@ -69,7 +75,10 @@ def _measure(
         wavelengths=wavelengths,
         brdf=brdf,
         u_random=u_random,
+        u_dark=u_dark,
         u_reference=u_reference,
+        u_reference_dark=u_reference,
+        integration_time=time,
         u_angle=U_ANGLE,
         aperture=1.0,
         saturated=np.zeros(theta_in.size, dtype=bool),

@@ -127,7 +127,7 @@ def test_noise_far_below_zero_does_not_break_the_logarithm(measure: Measure) -> 
 
 
 def test_a_signal_drowned_in_noise_is_not_trusted(measure: Measure) -> None:
-    fit = cook_torrance_fit(measure(0.02, floor=0.3, wavelength_step=23.0))
+    fit = cook_torrance_fit(measure(0.02, floor=30.0, wavelength_step=23.0))
     assert any("above the noise" in reason for reason in fit.verdict.reasons)
 
 

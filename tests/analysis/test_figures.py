@@ -1,6 +1,7 @@
 """Figures show the measured values where they were measured, and can be read on any page."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -8,12 +9,21 @@ import numpy as np
 import pytest
 
 from analysis import figures
+from analysis.analyse import analyse
 from analysis.notation import with_uncertainty
 from analysis.results import SampleAnalysis
 from analysis.svg import INK, hex_colour
 from goniometer.dataset import Dataset
 
 SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def rough_analysis(measure: Callable[..., Dataset]) -> SampleAnalysis:
+    """All fits of a rough sample, three incident angles of it."""
+    dataset = measure(0.28, 1.5, 2.6, incident=(10, 40, 70), wavelength_step=9.0)
+    lineage: dict[str, object] = {"scan": 3, "exposures": list(range(70)), "software_version": "0.1.0"}
+    return analyse(replace(dataset, sample="disc <2>", lineage=lineage))
 
 
 def _all(analysis: SampleAnalysis) -> list[str]:
@@ -65,26 +75,41 @@ def test_every_measured_cell_says_its_angles_and_its_value(rough_analysis: Sampl
     assert wanted + f"f(600 nm) = {with_uncertainty(f[7], u[7])} 1/sr" in titles
 
 
-def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(rough_sample: Dataset) -> None:
-    left, right, bottom, top = figures.cell_edges(rough_sample.theta_in, rough_sample.theta_out).T
-    assert np.all((left < rough_sample.theta_out) & (rough_sample.theta_out < right))
-    assert np.all((bottom < rough_sample.theta_in) & (rough_sample.theta_in < top))
-    back = -np.round(rough_sample.theta_in / 10) * 10
+def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(
+    rough_analysis: SampleAnalysis,
+) -> None:
+    dataset = rough_analysis.dataset
+    random = np.random.default_rng(2)
+    theta_in = dataset.theta_in + random.normal(0, 0.004, dataset.theta_in.size)
+    theta_out = random.permutation(dataset.theta_out + 0.01 * np.sign(dataset.theta_in + dataset.theta_out))
+    seen = np.abs(dataset.theta_in + theta_out) > 5.1
+    theta_in, theta_out = theta_in[seen], theta_out[seen]
+    left, right, bottom, top = figures.cell_edges(theta_in, theta_out).T
+    assert np.all((left <= theta_out) & (theta_out <= right))
+    assert np.all((bottom < theta_in) & (theta_in < top))
+    back = -np.round(theta_in / 10) * 10
     assert np.all((right <= back - 4.98) | (left >= back + 4.98))
     # cells of one row do not overlap: their widths sum to what they cover
-    row = np.abs(rough_sample.theta_in - 40) < 1
+    row = np.abs(theta_in - 40) < 1
     order = np.argsort(left[row])
     assert np.all(right[row][order][:-1] <= left[row][order][1:] + 1e-9)
 
 
-def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_sample: Dataset) -> None:
+def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: SampleAnalysis) -> None:
     theta_in, theta_out = np.zeros(3), np.array([10.0, 20, 30])
-    wavelengths = rough_sample.wavelengths
+    wavelengths = rough_analysis.dataset.wavelengths
     brdf = np.ones((3, wavelengths.size))
     brdf[1] = np.where(wavelengths > 600, 1.0, 0.02)
     brdf[2] *= 0.2140411  # linear light of display value 0.5
     small = replace(
-        rough_sample, theta_in=theta_in, theta_out=theta_out, brdf=brdf, u_random=0.01 * brdf, u_reference=0.01 * brdf
+        rough_analysis.dataset,
+        theta_in=theta_in,
+        theta_out=theta_out,
+        brdf=brdf,
+        u_random=0.01 * brdf,
+        u_dark=0 * brdf,
+        u_reference=0.01 * brdf,
+        u_reference_dark=0 * brdf,
     )
     svg = figures.colour_map(small, brdf, figures.Exposure(1.0, 0), "x", "x")
     fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
@@ -109,7 +134,9 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     dataset = rough_analysis.dataset
     brdf = dataset.brdf.copy()
     brdf[4, 20:30] = np.nan
-    gap = replace(dataset, brdf=brdf)
+    brdf[5] = np.nan
+    u = np.where(np.isnan(brdf), np.nan, dataset.u_random)
+    gap = replace(dataset, brdf=brdf, u_random=u)
     svg = figures.colour_map(gap, brdf, figures.exposure_of(gap), "x", "x")
     assert "#80808026" in svg
     ElementTree.fromstring(figures.distributions(gap, "y"))

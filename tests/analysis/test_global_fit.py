@@ -29,7 +29,10 @@ def made(h: float, w: float, t_y: float, p: float, seed: int = 0, shared: float 
         wavelengths=wavelengths,
         brdf=np.ones(shape),
         u_random=np.ones(shape),
+        u_dark=np.zeros(shape),
         u_reference=np.zeros(shape),
+        u_reference_dark=np.zeros(shape),
+        integration_time=np.ones(THETA_IN.size),
         u_angle=0.005,
         aperture=1.0,
         saturated=np.zeros(THETA_IN.size, dtype=bool),
@@ -38,10 +41,11 @@ def made(h: float, w: float, t_y: float, p: float, seed: int = 0, shared: float 
     scale = 10 ** random.uniform(-2, 1, THETA_IN.size)
     clean = shifted_fresnel(empty, scale, slope, np.full(THETA_IN.size, p), load_conductor(), 600.0)
     group = np.unique(THETA_IN, return_inverse=True)[1]
-    u_random, u_reference = 0.01 * np.abs(clean), shared * np.abs(clean)
+    u_random, u_reference = 0.01 * np.abs(clean), np.sqrt(0.5) * shared * np.abs(clean)
     brdf = clean + u_random * random.normal(size=shape)
-    brdf = brdf + u_reference * random.normal(size=(group.max() + 1, wavelengths.size))[group]
-    return replace(empty, brdf=brdf, u_random=u_random, u_reference=u_reference)
+    of_one_angle, of_all = random.normal(size=(group.max() + 1, wavelengths.size)), random.normal(size=wavelengths.size)
+    brdf = brdf + u_reference * (of_one_angle[group] + of_all)
+    return replace(empty, brdf=brdf, u_random=u_random, u_reference=u_reference, u_reference_dark=u_reference)
 
 
 @pytest.mark.parametrize("truth", [(1.6, 2.3, 0.1), (1.2, 3.4, -0.2), (-0.8, 1.2, 0.5), (0.9, 4.5, 0.0)])
@@ -75,7 +79,7 @@ def test_no_start_of_another_optimiser_finds_a_better_cosine() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("shared", [0.0, 0.02])
 def test_stated_errors_are_the_scatter_of_repeated_measurements(shared: float) -> None:
-    # `shared` noise of the reference moves all slopes of one incident angle together: stated errors that forget
+    # `shared` noise of the reference moves the slopes of many points together: stated errors that forget
     # this are too small by a factor of two here
     truth = {"h": 1.5, "w": 2.6, "t_y": 0.1, "p": 1.2}
     z = []

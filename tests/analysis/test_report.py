@@ -1,6 +1,7 @@
 """The report stands alone, says what may be trusted, and what was left out."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -8,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.analyse import analyse
 from analysis.errors import ExportError
 from analysis.export_mitsuba import BsdfReport, RelativeError
 from analysis.notation import with_uncertainty
 from analysis.report import RunFacts, report_html, write_report
 from analysis.results import SampleAnalysis, Verdict
+from goniometer.dataset import Dataset
 
 ERROR = RelativeError(0.0081, 0.0153, 0.0242)
 FACTS = RunFacts(
@@ -24,6 +27,14 @@ FACTS = RunFacts(
     files=(("disc.json", "all fits"), ("disc & more.bsdf", "for rendering")),
     bsdf=BsdfReport(Path("disc.bsdf"), 5, "flat", np.arange(6.0), 0.043, ERROR, {"flat": ERROR}, ""),
 )
+
+
+@pytest.fixture(scope="module")
+def rough_analysis(measure: Callable[..., Dataset]) -> SampleAnalysis:
+    """All fits of a rough sample, three incident angles of it."""
+    dataset = measure(0.28, 1.5, 2.6, incident=(10, 40, 70), wavelength_step=9.0)
+    lineage: dict[str, object] = {"scan": 3, "exposures": list(range(70)), "software_version": "0.1.0"}
+    return analyse(replace(dataset, sample="disc <2>", lineage=lineage))
 
 
 class _Reader(HTMLParser):

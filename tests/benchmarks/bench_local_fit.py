@@ -24,7 +24,9 @@ def main() -> None:
     u = 0.01 * clean
     brdf = clean + u * random.normal(size=clean.shape)
     saturated = np.zeros(points, dtype=bool)
-    dataset = Dataset("bench", theta_in, theta_in, wavelengths, brdf, u, 0 * u, 0.0, 1.0, saturated)
+    dataset = Dataset(
+        "bench", theta_in, theta_in, wavelengths, brdf, u, 0 * u, 0 * u, 0 * u, np.ones(points), 0.0, 1.0, saturated
+    )
 
     local_fit(dataset)  # the first call pays for memory that later ones find
     start = time.perf_counter()

@@ -84,15 +84,18 @@ def test_the_stated_uncertainties_are_those_of_repeated_measurements():
     steady_reference = scan(REFERENCE_ANGLES, truth_panel, 30.0, random, noisy=False)
     steady_sample = scan(SAMPLE_ANGLES, truth_sample, 10.0, random, noisy=False)
     by_sample, by_reference = [], []
-    for _ in range(50):
+    for _ in range(30):
         sample = scan(SAMPLE_ANGLES, truth_sample, 10.0, random, scans=2)
         by_sample.append(calibrate(sample, steady_reference, NOMINAL_SRS99))
         reference = scan(REFERENCE_ANGLES, truth_panel, 30.0, random, scans=2)
         by_reference.append(calibrate(steady_sample, reference, NOMINAL_SRS99))
-    for datasets, name in ((by_sample, "u_random"), (by_reference, "u_reference")):
+    for datasets, own, dark in (
+        (by_sample, "u_random", "u_dark"),
+        (by_reference, "u_reference", "u_reference_dark"),
+    ):
         spread = np.std([d.brdf for d in datasets], axis=0, ddof=1)
-        stated = np.mean([getattr(d, name) for d in datasets], axis=0)
-        # 50 repetitions know each spread to 10 %, and the mean over 134 wavelengths to better than 2 %.
+        stated = np.mean([np.hypot(getattr(d, own), getattr(d, dark)) for d in datasets], axis=0)
+        # 30 repetitions know each spread to 13 %, and the mean over 134 wavelengths to better than 2 %.
         ratio = np.sqrt(np.mean((spread / stated) ** 2, axis=1))
         assert ratio == pytest.approx(np.ones(len(SAMPLE_ANGLES)), abs=0.08)
 
@@ -101,7 +104,7 @@ def test_dim_ends_of_the_spectrum_are_not_biased():
     random = np.random.default_rng(2)
     truth = sample_brdf(SAMPLE_ANGLES)
     values, steady = [], None
-    for _ in range(60):
+    for _ in range(40):
         sample = scan(SAMPLE_ANGLES, truth, 1.0, random)
         reference = scan(REFERENCE_ANGLES, panel_brdf(REFERENCE_ANGLES), 4.0, random)
         dataset = calibrate(sample, reference, NOMINAL_SRS99)
@@ -113,7 +116,7 @@ def test_dim_ends_of_the_spectrum_are_not_biased():
     assert np.median(scatter) > 0.02
     # What is left of the bias of a ratio is the square of the relative noise of the response.
     bright = [0, 1, 3]
-    assert np.mean(bias[bright]) == pytest.approx(0, abs=0.002)
+    assert np.mean(bias[bright]) == pytest.approx(0, abs=0.003)
 
 
 def test_a_saturated_pixel_has_no_value_and_its_point_is_flagged():

@@ -44,7 +44,7 @@ CAMPAIGN = Campaign(
 
 @asynccontextmanager
 async def bench(seed=CAMPAIGN.seed):
-    """The simulated laboratory, its instrument and what a person does who mounts samples."""
+    """An instrument in a simulated laboratory, what a person does who mounts samples, and the laboratory."""
     with simulated_laboratory(seed) as laboratory:
         detector_address = urlsplit(laboratory.detector_stage_url)
         spectrometer = QEPro("QE Pro", laboratory.clock, usb_backend=laboratory.usb_backend)
@@ -62,14 +62,14 @@ async def bench(seed=CAMPAIGN.seed):
             laboratory.bench.mount(scan.material)
 
         try:
-            yield instrument, mount
+            yield instrument, mount, laboratory
         finally:
             await instrument.close()
 
 
 async def run(store, campaign=CAMPAIGN, report=lambda _: None, finished=lambda _: None, change=None):
     """Run a campaign on a fresh bench; `change` may tamper with the instrument."""
-    async with bench() as (instrument, mount):
+    async with bench() as (instrument, mount, _):
         if change is not None:
             change(instrument)
         await run_campaign(store, campaign, instrument, mount, report, finished)
@@ -158,7 +158,7 @@ def test_an_emergency_stop_makes_the_bench_safe_and_the_run_goes_on_where_it_sto
     total = sum(len(points) for points in content(undisturbed[0]))
 
     async def stopped_after(count):
-        async with bench() as (instrument, mount):
+        async with bench() as (instrument, mount, laboratory):
             seen = []
 
             def report(progress):
@@ -169,7 +169,7 @@ def test_an_emergency_stop_makes_the_bench_safe_and_the_run_goes_on_where_it_sto
             task = asyncio.create_task(run_campaign(store, CAMPAIGN, instrument, mount, report, lambda _: None))
             with pytest.raises(asyncio.CancelledError):
                 await task
-            assert instrument._shutter_open is False
+            assert not laboratory.usb_backend.shutter_open
 
     for i in range(interruptions):
         asyncio.run(stopped_after(3 + 7 * i))
@@ -276,16 +276,16 @@ def test_a_point_that_always_fails_is_given_up_with_its_reason_and_the_rest_is_m
         goto = instrument.goto
 
         async def jammed(geometry):
-            if geometry.theta_out == 30.0:
+            if geometry.theta_out in (30.0, 35.0):
                 raise DeviceTimeout("detector stage: it did not arrive within 20 s.")
             return await goto(geometry)
 
         instrument.goto = jammed
 
     asyncio.run(run(store, change=change))
-    for scan in store.scans():
+    for scan, jam in zip(store.scans(), (35.0, 30.0), strict=True):
         failed = [p for p in store.points(scan.id) if p.status == "failed"]
-        assert [(p.geometry.theta_out, p.attempts) for p in failed] == [(30.0, 3)]
+        assert [(p.geometry.theta_out, p.attempts) for p in failed] == [(jam, 3)]
         assert "did not arrive" in failed[0].reason
         assert scan.outcome == "completed"
     assert len(store.points(reference)) > 10
@@ -308,6 +308,20 @@ def test_a_silent_device_does_not_eat_up_the_whole_plan(store):
     points = store.points(store.scans()[0].id)
     assert sum(p.status == "failed" for p in points) == 3
     assert any(p.status == "pending" for p in points)
+
+
+def test_directions_beyond_a_stage_limit_are_skipped_with_the_reason_and_the_rest_is_measured(store):
+    def change(instrument):
+        instrument._detector_stage.limits = (-90.0, 70.0)
+
+    asyncio.run(run(store, change=change))
+    for scan in store.scans():
+        points = store.points(scan.id)
+        skipped = [p for p in points if p.status == "skipped"]
+        assert {p.geometry for p in skipped} == {p.geometry for p in points if p.geometry.detector_angle > 70}
+        assert len(skipped) >= 3
+        assert "outside -90 to 70 deg" in skipped[0].reason
+        assert scan.outcome == "completed"
 
 
 def test_other_devices_halfway_through_a_scan_are_refused(store):

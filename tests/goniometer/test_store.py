@@ -64,8 +64,8 @@ def dataset():
         np.array([-3.0, 1 / 3, 5]),
         np.array([400.0, 500, 600, 700]),
         brdf,
-        random.random(shape),
-        random.random(shape),
+        *(random.random(shape) for _ in range(4)),
+        np.array([0.008, 1, 30]),
         0.005,
         1.0,
         np.array([False, True, False]),
@@ -170,7 +170,7 @@ def test_another_spectrometer_in_the_middle_of_a_scan_is_refused_and_another_sta
     store.save_constants(scan_id, replace(CONSTANTS, stages={"sample stage": "another"}))
     with pytest.raises(StoreError, match="another spectrometer"):
         store.save_constants(scan_id, replace(CONSTANTS, spectrometer="QE Pro QEP00002"))
-    with pytest.raises(StoreError, match="another wavelengths and gain"):
+    with pytest.raises(StoreError, match="another gain and wavelengths"):
         store.save_constants(scan_id, replace(CONSTANTS, gain=1.0, wavelengths=CONSTANTS.wavelengths + 1e-12))
 
 
@@ -180,9 +180,12 @@ def test_another_process_can_ask_for_a_pause_but_only_of_a_running_scan(store, t
     with pytest.raises(StoreError, match="idle"):
         other.request(scan_id, "pause")
     store.set_phase(scan_id, "running")
-    other.request(scan_id, "pause")
+    with store.exclusive():
+        other.request(scan_id, "pause")
     assert store.command(scan_id) == "pause"
     assert other.scan(scan_id).phase == "pausing"
+    with pytest.raises(StoreError, match="has ended"):
+        other.request(scan_id, "resume")
     other.close()
 
 

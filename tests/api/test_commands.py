@@ -1,0 +1,113 @@
+"""A small campaign through the command line: what it leaves behind, and what can be done with it afterwards."""
+
+import hashlib
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Small = tuple[Path, dict[str, Any]]
+
+
+def test_a_run_leaves_fits_a_rendering_file_and_a_report_for_every_sample(small: Small) -> None:
+    folder, result = small
+    assert [s["sample"] for s in result["samples"]] == ["Sample 1", "Mirror"]
+    for sample in result["samples"]:
+        names = {Path(path).name for path in sample["files"]}
+        assert {"analysis.json", "cook-torrance-shift.json", "report.html"} <= names
+        assert any(name.endswith(".bsdf") for name in names)
+        assert all((folder / path).stat().st_size > 1000 for path in sample["files"])
+        assert sample["points"] < sample["uniform_1_degree_points"]
+    with sqlite3.connect(folder / "goniometer.db") as database:
+        for path, digest in database.execute("SELECT path, sha256 FROM exports"):
+            assert hashlib.sha256((folder / path).read_bytes()).hexdigest() == digest
+
+
+def test_the_mirror_is_not_trusted_and_says_why_and_the_rough_sample_is(small: Small) -> None:
+    rough, mirror = small[1]["samples"]
+    assert rough["trusted"]["cook-torrance-shift"]
+    assert not mirror["trusted"]["cook-torrance-shift"]
+    assert "aperture" in " ".join(mirror["reasons"]["cook-torrance-shift"])
+
+
+def test_blocked_directions_are_absent_from_every_export(small: Small) -> None:
+    folder, result = small
+    for sample in result["samples"]:
+        (path,) = [p for p in sample["files"] if p.endswith("analysis.json")]
+        local = json.loads((folder / path).read_text())["local"]
+        detector = np.add(local["theta_in_deg"], local["theta_out_deg"])
+        assert detector.size == sample["points"]
+        assert np.abs(detector).min() >= 5 - 1e-9
+
+
+def test_raw_counts_are_kept_and_cannot_be_changed(small: Small) -> None:
+    with sqlite3.connect(small[0] / "goniometer.db") as database:
+        (lights,) = database.execute("SELECT count(*) FROM exposures WHERE kind = 'light'").fetchone()
+        assert lights >= sum(s["points"] for s in small[1]["samples"])
+        with pytest.raises(sqlite3.DatabaseError, match="only ever added"):
+            database.execute("UPDATE exposures SET counts = x'00'")
+
+
+def test_a_finished_campaign_is_shown_again_and_not_measured_again(cli: Any, small: Small) -> None:
+    folder, result = small
+    again = cli("run", "small.yaml", "--json", cwd=folder)
+    assert json.loads(again.stdout) == result
+
+
+def test_a_changed_campaign_does_not_resume_under_the_old_name(cli: Any, small: Small) -> None:
+    folder, _ = small
+    (folder / "changed.yaml").write_text((folder / "small.yaml").read_text().replace("[20, 60]", "[20, 50]"))
+    done = cli("run", "changed.yaml", cwd=folder)
+    assert done.returncode == 2
+    assert "started with other content" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_status_tells_what_is_in_the_database(cli: Any, small: Small) -> None:
+    told = json.loads(cli("status", "--json", cwd=small[0]).stdout)
+    assert [(s["sample"], s["outcome"]) for s in told["scans"]] == [
+        ("reference", "completed"),
+        ("Sample 1", "completed"),
+        ("Mirror", "completed"),
+    ]
+    shown = cli("status", cwd=small[0]).stdout
+    assert "Small: Sample 1: completed" in shown
+
+
+def test_fitting_again_gives_the_same_numbers(cli: Any, small: Small) -> None:
+    folder, result = small
+    done = cli("fit", "Sample 1", "--model", "cook-torrance-shift", "--json", cwd=folder)
+    fitted = json.loads(done.stdout)["fits"]["cook-torrance-shift"]
+    first = {p["name"]: p["value"] for p in result["samples"][0]["parameters"]["cook-torrance-shift"]}
+    assert {p["name"]: p["value"] for p in fitted["parameters"]} == first
+    assert "k = 1" in cli("fit", "Mirror", cwd=folder).stdout
+
+
+def test_exports_and_reports_can_be_written_at_any_time(cli: Any, small: Small, tmp_path: Path) -> None:
+    folder, _ = small
+    for arguments, start in (
+        (["export", "sample 1", "--to", "json"], b'{\n "schema"'),
+        (["export", "sample 1", "--to", "mitsuba"], b"tensor_file\0"),
+        (["report", "sample 1"], b"<!doctype html>"),
+    ):
+        target = tmp_path / "out"
+        done = cli(*arguments, "--output", target, "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert target.read_bytes().startswith(start)
+        assert json.loads(done.stdout)["sha256"] == hashlib.sha256(target.read_bytes()).hexdigest()
+
+
+def test_an_unknown_dataset_is_refused_with_the_known_ones(cli: Any, small: Small) -> None:
+    done = cli("fit", "Sample 77", cwd=small[0])
+    assert done.returncode == 2
+    assert '"Sample 1"' in done.stderr
+
+
+def test_the_preview_names_points_travel_and_blocked_range(cli: Any, small: Small) -> None:
+    told = json.loads(cli("plan", "small.yaml", "--json", cwd=small[0]).stdout)
+    assert told["blocked"] == {"20.0": [-25.0, -15.0], "60.0": [-65.0, -55.0]}
+    assert told["uniform_1_degree_points"] == 2 * (171 - 9)
+    assert "theta_in 20°: theta_out -25° to -15°" in cli("plan", "small.yaml", cwd=small[0]).stdout

@@ -1,0 +1,128 @@
+"""A run survives being killed, paused, aborted and started twice."""
+
+import json
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PATIENCE = 120.0
+"""Seconds after which a process that should have got somewhere is called stuck."""
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A run in the background; killed when the context ends."""
+    command = [Path(sys.executable).with_name("goniometer"), "run", "small.yaml", "--json"]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Return when `condition` holds; fail when it does not in time."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.01)
+
+
+def count(folder: Path, query: str) -> int:
+    """A number from the database; 0 while there is none."""
+    file = folder / "goniometer.db"
+    if not file.exists():
+        return 0
+    try:
+        with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as database:
+            return int(database.execute(query).fetchone()[0])
+    except sqlite3.OperationalError:
+        return 0
+
+
+DONE = "SELECT count(*) FROM points WHERE status = 'done'"
+
+
+def comparable(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """What must be the same after any interruption: everything but the time that it took."""
+    return [{k: v for k, v in s.items() if k != "bench_seconds"} for s in result["samples"]]
+
+
+@pytest.mark.slow
+def test_killed_anywhere_a_run_continues_and_ends_with_the_same_numbers(
+    small: tuple[Path, dict[str, Any]], folder: Path
+) -> None:
+    total = count(small[0], DONE)
+    moments = sorted(random.Random(20).sample(range(2, total), 5))
+    for moment in moments:
+        with running(folder) as process:
+            wait_for(lambda moment=moment: count(folder, DONE) >= moment)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+    with running(folder) as process:  # once more, when everything is measured and the fits are under way
+        wait_for(lambda: count(folder, "SELECT count(*) FROM datasets") == 2)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with running(folder) as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+    assert comparable(json.loads(output)) == comparable(small[1])
+    assert count(folder, DONE) == total
+    assert count(folder, "SELECT count(*) FROM datasets") == 2
+    assert count(folder, "SELECT max(attempts) FROM points") > 1, "no point was ever in flight when killed"
+
+
+def test_a_second_run_on_the_same_database_is_refused_and_harms_nothing(cli: Any, folder: Path) -> None:
+    with running(folder) as process:
+        wait_for(lambda: count(folder, DONE) > 1)
+        second = cli("run", "small.yaml", cwd=folder)
+        assert second.returncode == 1
+        assert "in use by another run" in second.stderr
+        assert len(second.stderr.strip().splitlines()) == 1
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+
+
+PAUSED = "SELECT count(*) FROM scans WHERE phase = 'paused'"
+
+
+def test_a_run_pauses_and_resumes_at_the_wish_of_another_process(cli: Any, folder: Path) -> None:
+    with running(folder) as process:
+        wait_for(lambda: count(folder, DONE) > 1)
+        assert cli("pause", cwd=folder).returncode == 0
+        wait_for(lambda: count(folder, PAUSED) == 1)
+        before = count(folder, DONE)
+        time.sleep(0.5)
+        assert count(folder, DONE) == before
+        assert cli("resume", cwd=folder).returncode == 0
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+    assert count(folder, DONE) > before
+
+
+def test_an_aborted_run_keeps_its_points_and_can_be_run_to_its_end(cli: Any, folder: Path) -> None:
+    with running(folder) as process:
+        wait_for(lambda: count(folder, DONE) > 1)
+        assert cli("pause", cwd=folder).returncode == 0
+        wait_for(lambda: count(folder, PAUSED) == 1)
+        assert cli("abort", cwd=folder).returncode == 0
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 1
+        assert "aborted" in errors
+    kept = count(folder, DONE)
+    assert kept > 1
+    assert cli("pause", cwd=folder).returncode == 2  # nothing runs any more
+    with running(folder) as process:
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+    assert count(folder, DONE) > kept
