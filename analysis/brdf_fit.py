@@ -123,7 +123,7 @@ def cook_torrance_fit(dataset: Dataset, conductor: Conductor | None = None, weig
     fewer than five points are left or the optimiser gives up.
     """
     data = _data(dataset, conductor or load_conductor(), weighted)
-    start = _scan(data, with_shift=False)
+    start = _scan(data, False)
     view = data.view(data.theta_in, data.theta_out, _aperture(dataset, start[0]))
     parameters, cost = _minimise(data, view, start, free=1)
     return _result("cook-torrance", data, view, parameters, cost, 1, weighted, shift_determined=None)
@@ -137,10 +137,12 @@ def shift_fit(dataset: Dataset, conductor: Conductor | None = None, weighted: bo
     are zero, and the verdict says so.
     """
     data = _data(dataset, conductor or load_conductor(), weighted)
-    start = _scan(data, with_shift=True)
+    start = _scan(data, True)
     view = data.view(data.theta_in, data.theta_out, _aperture(dataset, start[0]))
-    # with w held the fit is always well posed; whether w can be let go is seen from there
-    parameters, cost = _minimise(data, view, start, free=2)
+    # the grid of alpha is too coarse for a narrow lobe to tell w, so w is scanned again at the best alpha; with w
+    # held the fit is always well posed, and whether w can be let go is seen from there
+    parameters, _ = _minimise(data, view, start, free=2)
+    parameters, cost = _minimise(data, view, _scan(data, True, np.array(parameters[:1])), free=2)
     determined = _shift_is_determined(data, view, parameters)
     if determined:
         parameters, cost = _minimise(data, view, parameters, free=3)
@@ -198,8 +200,8 @@ def _aperture(dataset: Dataset, alpha: float) -> Aperture:
     return round_aperture(dataset.aperture)
 
 
-def _scan(data: _Data, with_shift: bool) -> tuple[float, float, float]:
-    """alpha, h and w of the lowest cost on a grid of log alpha and w, at a few wavelengths.
+def _scan(data: _Data, with_shift: bool, alphas: FloatArray = _ALPHAS) -> tuple[float, float, float]:
+    """alpha, h and w of the lowest cost on a grid of `alphas` and w, at a few wavelengths.
 
     h is solved for at each node, with the logarithm made linear at the measurement.
     """
@@ -212,8 +214,8 @@ def _scan(data: _Data, with_shift: bool) -> tuple[float, float, float]:
     centre = np.radians(0.5 * np.abs(data.theta_out - data.theta_in))
     cosines = np.cos(_WS[:, None] * centre) if with_shift else np.zeros((1, centre.size))
 
-    best, lowest = (float(_ALPHAS[0]), 0.0, 0.0), math.inf
-    for alpha in _ALPHAS:
+    best, lowest = (float(alphas[0]), 0.0, 0.0), math.inf
+    for alpha in alphas:
         plain = np.expm1(view.log_model(alpha, 0.0, 0.0))
         missing = residual_weight * (np.expm1(log_measured) - plain)
         tilted = residual_weight * plain * x

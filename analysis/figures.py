@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.colour import brdf_to_rgb, display_encoded
 from analysis.models import cosine_slope
+from analysis.noise import at_wavelength, hue_is_known
 from analysis.notation import with_uncertainty
 from analysis.propagation import incidence_groups
 from analysis.results import LocalFit, ModelFit
@@ -27,7 +28,7 @@ COVERAGE = 2
 
 _MAP_LIMITS = (-90.0, 90.0)
 _MISSING = "#80808026"
-_LEAST_SIGNAL = 20.0  # signal over standard uncertainty below which a hue or a single spectrum is noise
+_LEAST_SIGNAL = 100.0  # signal over standard uncertainty below which a single spectrum would only show its noise
 
 
 @dataclass(frozen=True)
@@ -53,16 +54,6 @@ def line_colours(count: int) -> list[str]:
 
     ramp = LinearSegmentedColormap.from_list("sequence", SEQUENCE)
     return [hex_colour(ramp(v)[:3]) for v in np.linspace(0, 1, max(count, 2))[:count]]
-
-
-def at_wavelength(dataset: Dataset, wavelength: float) -> tuple[FloatArray, FloatArray]:
-    """BRDF [points] and its standard uncertainty at `wavelength`, nm, interpolated between two neighbours, 1/sr."""
-    upper = int(np.clip(np.searchsorted(dataset.wavelengths, wavelength), 1, dataset.wavelengths.size - 1))
-    low, high = dataset.wavelengths[upper - 1 : upper + 1]
-    part = np.clip((wavelength - low) / (high - low), 0, 1)
-    value = (1 - part) * dataset.brdf[:, upper - 1] + part * dataset.brdf[:, upper]
-    u = np.hypot((1 - part) * dataset.u[:, upper - 1], part * dataset.u[:, upper])
-    return value, u
 
 
 # --- in-plane maps (Figs. 5, 8, 13) ----------------------------------------------------------------------------
@@ -118,7 +109,7 @@ def colour_map(
     f, u = at_wavelength(dataset, 600.0)
     if exposure is None:
         luminance = rgb @ [0.2126, 0.7152, 0.0722]
-        rgb = 0.45 * rgb / np.where((luminance > 0) & (f > _LEAST_SIGNAL * u), luminance, np.nan)[:, None]
+        rgb = 0.45 * rgb / np.where((luminance > 0) & hue_is_known(dataset, 600.0), luminance, np.nan)[:, None]
     else:
         rgb = rgb * exposure.factor
     fills = [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]

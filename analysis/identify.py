@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.noise import above_noise
 from analysis.results import Verdict
 from drivers.arrays import BoolArray
 from goniometer.dataset import Dataset
@@ -48,17 +49,6 @@ def lobe_width(alpha: float) -> float:
     changes half as fast as theta_out.
     """
     return 4 * math.degrees(math.atan(alpha * math.sqrt(math.sqrt(2) - 1)))
-
-
-def above_noise(dataset: Dataset) -> BoolArray:
-    """[points] whether the median signal of a spectrum exceeds its standard uncertainty; False without values."""
-    valid = np.isfinite(dataset.brdf) & np.isfinite(dataset.u) & (dataset.u > 0)
-    some = valid.any(axis=1)
-    ratio = np.full(dataset.brdf.shape, np.nan)
-    np.divide(dataset.brdf, dataset.u, out=ratio, where=valid)
-    result = np.zeros(some.size, dtype=bool)
-    result[some] = np.nanmedian(ratio[some], axis=1) >= 1
-    return result
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -111,7 +101,7 @@ def _notes(evidence: Evidence) -> list[str]:
         notes.append(f"{saturated} of {dataset.saturated.size} points were saturated and left out.")
     if evidence.residual_ratio > NOTED_RESIDUAL_RATIO:
         notes.append(
-            f"The residuals are {evidence.residual_ratio:.2g} times the uncertainty of the measurement: the model "
+            f"The residuals are {evidence.residual_ratio:.3g} times the uncertainty of the measurement: the model "
             "does not describe everything, and the standard errors cover the measurement only."
         )
     return notes

@@ -1,24 +1,36 @@
-"""The noise of spectra that come without a stated uncertainty, such as imported ones."""
+"""Signal against noise: which spectra say something."""
 
 import numpy as np
 
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.dataset import Dataset
 
-SMALLEST_RELATIVE_NOISE = 1e-6
-"""Noise below this share of the signal is rounding, not measurement."""
+LEAST_SIGNAL_FOR_HUE = 20.0
+"""Signal over standard uncertainty below which the hue of a spectrum is noise."""
 
 
-def noise_between_neighbours(brdf: FloatArray) -> FloatArray:
-    """[points, wavelengths] standard uncertainty of smooth spectra [points, wavelengths], from their own scatter.
+def at_wavelength(dataset: Dataset, wavelength: float) -> tuple[FloatArray, FloatArray]:
+    """BRDF [points] and its standard uncertainty at `wavelength`, nm, interpolated between two neighbours, 1/sr."""
+    upper = int(np.clip(np.searchsorted(dataset.wavelengths, wavelength), 1, dataset.wavelengths.size - 1))
+    low, high = dataset.wavelengths[upper - 1 : upper + 1]
+    part = np.clip((wavelength - low) / (high - low), 0, 1)
+    value = (1 - part) * dataset.brdf[:, upper - 1] + part * dataset.brdf[:, upper]
+    u = np.hypot((1 - part) * dataset.u[:, upper - 1], part * dataset.u[:, upper])
+    return value, u
 
-    The second difference of a smooth spectrum is nearly all noise, with 6 times its variance; its median absolute
-    value over the wavelengths is scaled to a standard deviation (1.4826, for a Gaussian) and one value is given to the
-    whole spectrum. Errors that neighbouring wavelengths share stay unseen. NaN where a spectrum has no
-    three valid neighbours.
-    """
-    differences = np.abs(brdf[:, :-2] - 2 * brdf[:, 1:-1] + brdf[:, 2:])
-    known = np.isfinite(differences).any(axis=1)
-    noise = np.full(brdf.shape[0], np.nan)
-    noise[known] = 1.4826 / np.sqrt(6) * np.nanmedian(differences[known], axis=1)
-    noise[known] = np.maximum(noise[known], SMALLEST_RELATIVE_NOISE * np.nanmedian(np.abs(brdf[known]), axis=1))
-    return np.broadcast_to(noise[:, None], brdf.shape).copy()
+
+def above_noise(dataset: Dataset) -> BoolArray:
+    """[points] whether the median signal of a spectrum exceeds its standard uncertainty; False without values."""
+    valid = np.isfinite(dataset.brdf) & np.isfinite(dataset.u) & (dataset.u > 0)
+    some = valid.any(axis=1)
+    ratio = np.full(dataset.brdf.shape, np.nan)
+    np.divide(dataset.brdf, dataset.u, out=ratio, where=valid)
+    result = np.zeros(some.size, dtype=bool)
+    result[some] = np.nanmedian(ratio[some], axis=1) >= 1
+    return result
+
+
+def hue_is_known(dataset: Dataset, wavelength: float) -> BoolArray:
+    """[points] whether a spectrum stands clear of its noise at `wavelength`, nm; elsewhere its hue is noise."""
+    value, u = at_wavelength(dataset, wavelength)
+    return np.asarray(value > LEAST_SIGNAL_FOR_HUE * u)

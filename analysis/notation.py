@@ -35,5 +35,14 @@ def with_uncertainty(value: float, standard_uncertainty: float) -> str:
     return f"{scaled:.{places}f}({shown}){_times(power)}".replace("-", "−")
 
 
+def roughly(value: float) -> str:
+    """A value that nobody should quote: two digits and no uncertainty, because the fit behind it is not trusted.
+
+    >>> roughly(0.0045018)
+    '≈ 0.0045'
+    """
+    return f"≈ {value:.2g}".replace("-", "−")
+
+
 def _times(power: int) -> str:
     return f" × 10{str(power).translate(_SUPERSCRIPT)}" if power else ""

@@ -14,7 +14,7 @@ from analysis import figures
 from analysis.errors import ExportError
 from analysis.export_mitsuba import LARGEST_TESTED_ANGLE, BsdfReport
 from analysis.identify import lobe_width
-from analysis.notation import with_uncertainty
+from analysis.notation import roughly, with_uncertainty
 from analysis.results import ModelFit, SampleAnalysis
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
@@ -282,7 +282,8 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         )
         for parameter in fit.parameters:
             unit = {"1": "", "1/um": " /µm"}.get(parameter.unit, f" {parameter.unit}")
-            value = with_uncertainty(parameter.value, parameter.standard_error)
+            trusted = fit.verdict.trusted
+            value = with_uncertainty(parameter.value, parameter.standard_error) if trusted else roughly(parameter.value)
             rows.append(
                 f"<tr>{first}<td><code>{escape(parameter.name)}</code></td>"
                 f'<td class="number">{value}{escape(unit)}</td><td>{_MEANING.get(parameter.name, "")}</td></tr>'
@@ -293,7 +294,7 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         '<div class="wide"><table><thead><tr><th>model</th><th>parameter</th><th class="number">value</th>'
         f"<th>meaning</th></tr></thead><tbody>{''.join(rows)}</tbody>"
         "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from the "
-        "measurement.</caption></table></div>"
+        "measurement. A value with ≈ belongs to a fit that is not to be trusted.</caption></table></div>"
     )
 
 

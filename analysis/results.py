@@ -1,5 +1,6 @@
 """What the analysis of one dataset gives: fits, verdicts and colour differences."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,9 +98,14 @@ class ColourDifferences:
     """Both spectra normalised at lambda_n first."""
 
     def statistics(self, kind: str = "absolute") -> dict[str, float]:
-        """Mean, median, p95 and max of "absolute" or "chromatic"; points without a value are left out."""
+        """Mean, median, p95 and max of "absolute" or "chromatic"; points without a value are left out.
+
+        All are NaN where no point has a value.
+        """
         values = getattr(self, kind)
         values = values[np.isfinite(values)]
+        if values.size == 0:
+            return dict.fromkeys(("mean", "median", "p95", "max"), math.nan)
         return {
             "mean": float(np.mean(values)),
             "median": float(np.median(values)),

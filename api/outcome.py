@@ -13,7 +13,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from analysis.notation import with_uncertainty
+from analysis.notation import roughly, with_uncertainty
 from analysis.results import ColourDifferences
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
@@ -144,7 +144,9 @@ def table(samples: list[SampleOutcome]) -> Table:
             sample.sample,
             f"{sample.points}\n{sample.uniform_1_degree_points}",
             *fits,
-            "\n".join(f"{p['name']:5} {_with_error(p)}" for p in parameters) or sample.outcome or sample.phase,
+            "\n".join(f"{p['name']:5} {_with_error(p) if trusted else roughly(p['value'])}" for p in parameters)
+            or sample.outcome
+            or sample.phase,
             "\n".join(f"{p['true']:g}" if "true" in p else "-" for p in parameters),
             "-" if trusted is None else "yes" if trusted else "NO",
         )

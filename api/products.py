@@ -7,7 +7,7 @@ from typing import Any, Literal
 from analysis.analyse import analyse
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
-from analysis.notation import with_uncertainty
+from analysis.notation import roughly, with_uncertainty
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.service import run_facts
 from goniometer.errors import InputError
@@ -50,7 +50,7 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
             lines.append(f"local: {len(slopes)} of {len(part['reliable'])} spectra are reliable{spread}")
             continue
         values = [
-            f"{p['name']} = {with_uncertainty(p['value'], _number(p['standard_error']))}"
+            f"{p['name']} {_shown(p, trusted=part['verdict']['trusted'])}"
             + ("" if p["unit"] == "1" else f" {p['unit']}")
             for p in part["parameters"]
         ]
@@ -59,6 +59,11 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
         word = "note" if part["verdict"]["trusted"] else "do not trust it"
         lines += [f"  {word}: {reason}" for reason in part["verdict"]["reasons"]]
     return lines
+
+
+def _shown(parameter: dict[str, Any], *, trusted: bool) -> str:
+    value = parameter["value"]
+    return with_uncertainty(value, _number(parameter["standard_error"])) if trusted else roughly(value)
 
 
 def _number(stored: float | str | None) -> float:

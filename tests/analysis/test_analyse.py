@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.analyse import analyse
-from analysis.noise import noise_between_neighbours
+from analysis.noise import at_wavelength
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 
@@ -56,12 +56,10 @@ def test_the_same_data_give_the_same_numbers(dataset: Dataset, analysis: SampleA
     assert [m.parameters for m in again.models] == [m.parameters for m in analysis.models]
 
 
-def test_noise_of_spectra_without_uncertainty_is_found_from_their_scatter(measure: Callable[..., Dataset]) -> None:
-    dataset = measure(0.3, 1.5, 2.6, noise=0.01, reference=0.0, wavelength_step=4.6)
-    ratio = noise_between_neighbours(dataset.brdf) / np.median(dataset.u_random, axis=1, keepdims=True)
-    assert np.median(ratio) == pytest.approx(1, abs=0.05)
-    gap = dataset.brdf.copy()
-    gap[0] = np.nan
-    noise = noise_between_neighbours(gap)
-    assert np.isnan(noise[0]).all()
-    assert np.isfinite(noise[1:]).all()
+def test_a_spectrum_that_drowns_in_noise_has_no_hue_to_compare(measure: Callable[..., Dataset]) -> None:
+    dataset = measure(0.113, 0.9, 4.5, floor=2e-3, wavelength_step=9.2)
+    f, u = at_wavelength(dataset, 600.0)
+    assert 5 < np.count_nonzero(f < 20 * u) < 100
+    for differences in analyse(dataset).differences.values():
+        np.testing.assert_array_equal(np.isnan(differences.chromatic), f <= 20 * u)
+        assert np.isfinite(differences.absolute).all()

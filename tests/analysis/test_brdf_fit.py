@@ -59,6 +59,13 @@ def test_no_roughness_is_missed_for_want_of_a_good_start(measure: Measure, alpha
     assert shift_fit(dataset).value("alpha") == pytest.approx(alpha, rel=0.01)
 
 
+def test_no_shift_of_a_narrow_lobe_is_missed_for_want_of_a_good_start(measure: Measure) -> None:
+    # between two roughnesses of the scan the lobe's misfit is larger than the whole shift
+    fit = shift_fit(measure(0.03, -1.0, 8.0, wavelength_step=46.0, incident=(0, 20, 40, 60)))
+    assert fit.value("h") == pytest.approx(-1, abs=4 * fit.standard_error("h"))
+    assert fit.value("w") == pytest.approx(8, abs=4 * fit.standard_error("w"))
+
+
 @pytest.fixture(scope="module")
 def mirror(measure: Measure) -> Dataset:
     """Sample 6, measured with a rule that is fine enough for its lobe."""

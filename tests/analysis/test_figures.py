@@ -10,6 +10,7 @@ import pytest
 
 from analysis import figures
 from analysis.analyse import analyse
+from analysis.noise import at_wavelength
 from analysis.notation import with_uncertainty
 from analysis.results import SampleAnalysis
 from analysis.svg import INK, hex_colour
@@ -70,7 +71,7 @@ def test_every_measured_cell_says_its_angles_and_its_value(rough_analysis: Sampl
     svg = _all(rough_analysis)[0]
     titles = [e.text or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}title")]
     assert len(titles) == dataset.theta_in.size
-    f, u = figures.at_wavelength(dataset, 600.0)
+    f, u = at_wavelength(dataset, 600.0)
     wanted = f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; "
     assert wanted + f"f(600 nm) = {with_uncertainty(f[7], u[7])} 1/sr" in titles
 
