@@ -7,7 +7,7 @@ out too rough. Levenberg-Marquardt alone misses narrow lobes, so it starts from 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -271,7 +271,8 @@ def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, flo
     """What one standard uncertainty of every source does to the residuals; a stage error moves the true direction.
 
     The detector stage sets theta_in + theta_out: its error changes theta_out alone, while an error e of the sample
-    stage changes theta_in by e and theta_out by -e.
+    stage changes theta_in by e and theta_out by -e. The irradiance, cos(theta_in), stays as it was: the reference
+    panel stood at the same angle, so calibration takes that out.
     """
     dataset = data.dataset
     step = max(1e-3 * dataset.aperture, 1e-5)
@@ -279,6 +280,8 @@ def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, flo
     def effect(d_in: float, d_out: float) -> FloatArray:
         ahead = data.view(data.theta_in + d_in * step, data.theta_out + d_out * step, aperture)
         behind = data.view(data.theta_in - d_in * step, data.theta_out - d_out * step, aperture)
+        cos_in = np.cos(np.radians(data.theta_in))[:, None]
+        ahead, behind = replace(ahead, cos_in=cos_in), replace(behind, cos_in=cos_in)
         derivative = (ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step)
         return np.asarray(derivative * dataset.u_angle)
 
