@@ -1,0 +1,21 @@
+"""What the documents show is what the program takes."""
+
+from pathlib import Path
+
+from api.settings import load_instrument
+from goniometer.campaign import Campaign, Sample, load_campaign
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_campaign_in_the_documents_shows_the_defaults() -> None:
+    shown = load_campaign(ROOT / "docs" / "campaign.yaml")
+    default = Campaign(name=shown.name, samples=(Sample(name="Sample 1", material="sample-1"),))
+    assert shown.model_dump(exclude={"samples"}) == default.model_dump(exclude={"samples"})
+    assert shown.samples[0].material == "sample-1"
+
+
+def test_the_instrument_in_the_documents_is_accepted() -> None:
+    shown = load_instrument(ROOT / "docs" / "instrument.toml")
+    assert (shown.sample_stage.driver, shown.detector_stage.driver) == ("smc100", "oriental-az")
+    assert (shown.u_angle, shown.aperture, shown.spectrometer.gain) == (0.005, 1.0, 5.0)
