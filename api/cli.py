@@ -4,8 +4,10 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 """
 
 import asyncio
+import contextlib
 import json
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -25,7 +27,7 @@ from api.service import Watch, active_scan, find_dataset, run
 from api.settings import load_instrument
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
-from goniometer.errors import GoniometerError, InputError
+from goniometer.errors import GoniometerError, InputError, RunAborted
 from goniometer.records import Command, Scan
 from goniometer.store import Store
 
@@ -52,10 +54,26 @@ def emit(content: object) -> None:
     sys.stdout.write("\n")
 
 
-async def _ask_to_mount(scan: Scan) -> None:
+async def ask_to_mount(scan: Scan) -> None:
+    """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
     what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
-    screen.print(f"Mount {what}, check that it lies flat against the holder, and press Enter.")
-    await asyncio.to_thread(sys.stdin.readline)
+    screen.print(f"Mount {what}, check that it lies flat against the holder, and press Enter.", highlight=False)
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[str] = loop.create_future()
+
+    def deliver(line: str) -> None:
+        if not answer.done():
+            answer.set_result(line)
+
+    def read() -> None:
+        line = sys.stdin.readline()
+        with contextlib.suppress(RuntimeError):  # the run that asked is over and its loop closed
+            loop.call_soon_threadsafe(deliver, line)
+
+    # A daemon, because nothing can end a thread that waits for a key, and an abort must not wait for it.
+    threading.Thread(target=read, daemon=True).start()
+    if not await answer:
+        raise RunAborted(f"Nobody can confirm that {what} is mounted, as there is no terminal; run this from one.")
 
 
 @app.command()
@@ -66,7 +84,7 @@ def demo(
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
     with progress_display(screen) as (show, note):
-        result = asyncio.run(run_demo(output, seed, Watch(show, note, _ask_to_mount)))
+        result = asyncio.run(run_demo(output, seed, Watch(show, note, ask_to_mount)))
     if as_json:
         emit(asdict(result))
         return
@@ -91,7 +109,7 @@ def run_command(
     settings = load_instrument(instrument) if instrument else None
     store = Store.open(database)
     with progress_display(screen) as (show, note):
-        campaign_id = asyncio.run(run(store, wanted, output, settings, Watch(show, note, _ask_to_mount)))
+        campaign_id = asyncio.run(run(store, wanted, output, settings, Watch(show, note, ask_to_mount)))
     samples = outcomes(store, campaign_id, truth=settings is None)
     if as_json:
         emit({"campaign": wanted.name, "database": str(database), "samples": [asdict(s) for s in samples]})
