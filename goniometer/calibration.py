@@ -10,8 +10,9 @@ incident angle, and f = s / (R cos(theta_in)).
 
 Pixels are binned by sums before the ratio is taken: f = sum(s) / (cos(theta_in) sum(R)). That weights each
 pixel by the light it received, which is the best weighting under shot noise, and the ratio of two sums is
-nearly free of the bias that a ratio of two noisy numbers has: it falls with the square of the signal-to-noise
-ratio of the denominator, which at the dim ends of the spectrum is too low in a single pixel.
+nearly free of the bias that a ratio of two noisy numbers has: the square of the relative noise of the denominator,
+which at the dim ends of the spectrum is too high in a single pixel. What is left of it is taken off. The wavelength
+of a bin is weighted by the light, too: where the lamp is steep it is not that of the middle pixel.
 """
 
 from dataclasses import asdict, dataclass
@@ -175,7 +176,8 @@ def calibrate(
     known = response(reference, certificate, settings)
     ratio = _ratio(sample, measured, known, groups)
     cosine = np.cos(np.radians([g.theta_in for g in sample.read_back]))[:, None]
-    centres = wavelengths @ groups / groups.sum(axis=0)
+    light = known.value.mean(axis=0)[:, None] * groups
+    centres = wavelengths @ light / light.sum(axis=0)
     return Dataset(
         sample=sample.sample,
         theta_in=np.array([g.theta_in for g in sample.read_back]),
@@ -251,15 +253,17 @@ def _ratio(sample: RawScan, measured: Signal, known: Response, groups: FloatArra
             f"The reference scan of scan {sample.scan_id} shows no light at some wavelengths; "
             f"check lamp and fibre and repeat it, or calibrate a narrower range"
         )
-    value = measured.rate @ groups / divisor
+    noise = weights**2 @ (known.variance @ groups)
+    # Reference points share their dark, so its error does not average out between them.
+    dark_noise = (weights @ np.sqrt(known.dark_variance @ groups)) ** 2
+    value = measured.rate @ groups / divisor * (1 - (noise + dark_noise) / divisor**2)
     relative = np.abs(value) / divisor
     return _Ratio(
         value,
         np.sqrt(measured.variance @ groups) / divisor,
         np.sqrt(measured.dark_variance @ groups) / divisor,
-        relative * np.sqrt(weights**2 @ (known.variance @ groups)),
-        # Reference points share their dark, so its error does not average out between them.
-        relative * (weights @ np.sqrt(known.dark_variance @ groups)),
+        relative * np.sqrt(noise),
+        relative * np.sqrt(dark_noise),
         saturated,
     )
 

@@ -20,7 +20,7 @@ class Dataset:
     theta_out: FloatArray
     """[points] reflected angle, degrees, signed, as read back from the stages."""
     wavelengths: FloatArray
-    """[wavelengths] nanometres, ascending: the mean of the detector pixels that were binned."""
+    """[wavelengths] nanometres, ascending: of the detector pixels that were binned, weighted by their light."""
     brdf: FloatArray
     """[points, wavelengths] 1/sr; NaN where no valid value exists (saturated pixels)."""
     u_random: FloatArray

@@ -158,14 +158,15 @@ class OpticalBench:
         return np.asarray(math.cos(math.radians(geometry.theta_in)) * brdf)
 
 
-def positioning_error(seed: int, axis_name: str, std_deg: float = 0.005) -> Callable[[float], float]:
-    """How far an axis comes to rest from where it was sent, degrees, as a function of the target, degrees.
+def positioning_error(seed: int, axis_name: str, std_deg: float = 0.005) -> Callable[..., float]:
+    """How far an axis comes to rest from where it was sent, degrees, as a function of one or more angles, degrees.
 
-    Gaussian with standard deviation `std_deg`; the same target always gets the same error.
+    Gaussian with standard deviation `std_deg`; the same angles always get the same error.
     """
 
-    def error(target: float) -> float:
-        return float(_generator(seed, axis_name, round(target * _ANGLE_STEPS)).normal(0, std_deg))
+    def error(*angles: float) -> float:
+        steps = [round(angle * _ANGLE_STEPS) for angle in angles]
+        return float(_generator(seed, axis_name, *steps).normal(0, std_deg))
 
     return error
 

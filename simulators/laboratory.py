@@ -49,12 +49,14 @@ def simulated_laboratory(seed: int) -> Iterator[Laboratory]:
         limits=(-5.0, 95.0),
         positioning_error=positioning_error(seed, "sample stage"),
     )
+    detector_error = positioning_error(seed, "detector stage")
     detector_axis = Axis(
         clock,
         velocity=30.0,
         acceleration=60.0,
         limits=(-95.0, 180.0),
-        positioning_error=positioning_error(seed, "detector stage"),
+        # The same detector angle serves many directions; each gets an error of its own, as each is a move of its own.
+        positioning_error=lambda target: detector_error(target, sample_axis.position()),
     )
     bench = OpticalBench(clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis)
     sample_stage = SimulatedSMC100(sample_axis)
