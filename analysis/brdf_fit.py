@@ -7,7 +7,7 @@ out too rough. Levenberg-Marquardt alone misses narrow lobes, so it starts from 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -118,7 +118,8 @@ def cook_torrance_fit(dataset: Dataset, conductor: Conductor | None = None, weig
 
     With `weighted` every residual is divided by its standard uncertainty from `dataset.u`; the result's `cost`
     says which. Saturated points are left out. The standard error passes the measurement's uncertainty, that of
-    the stages included, through the estimator; it is not scaled by the residuals. r2 is that of
+    the stages included, through the estimator, and is multiplied by the ratio of residuals to noise where that is above
+    one (Birge ratio). r2 is that of
     ln(1 + cos(theta_in) f). Raises `OutOfRange` for wavelengths beyond the conductor's table and `FitError` if
     fewer than five points are left or the optimiser gives up.
     """
@@ -271,23 +272,27 @@ def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, flo
     """What one standard uncertainty of every source does to the residuals; a stage error moves the true direction.
 
     The detector stage sets theta_in + theta_out: its error changes theta_out alone, while an error e of the sample
-    stage changes theta_in by e and theta_out by -e. The irradiance, cos(theta_in), stays as it was: the reference
-    panel stood at the same angle, so calibration takes that out.
+    stage changes theta_in by e, and with it the irradiance, and theta_out by -e. When the reference panel stood at
+    this theta_in the stage had another error; of it only the irradiance matters, as the panel is nearly Lambertian.
     """
     dataset = data.dataset
     step = max(1e-3 * dataset.aperture, 1e-5)
+    incidence = incidence_groups(data.theta_in)
 
     def effect(d_in: float, d_out: float) -> FloatArray:
         ahead = data.view(data.theta_in + d_in * step, data.theta_out + d_out * step, aperture)
         behind = data.view(data.theta_in - d_in * step, data.theta_out - d_out * step, aperture)
-        cos_in = np.cos(np.radians(data.theta_in))[:, None]
-        ahead, behind = replace(ahead, cos_in=cos_in), replace(behind, cos_in=cos_in)
         derivative = (ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step)
         return np.asarray(derivative * dataset.u_angle)
 
+    view = data.view(data.theta_in, data.theta_out, aperture)
+    # d ln(1 + x) = x / (1 + x) dx / x; the relative error of the irradiance is tan(theta_in) times that of the angle
+    irradiance = np.tan(np.radians(data.theta_in)) * np.radians(dataset.u_angle)
+    at_reference = -np.expm1(-view.log_model(*parameters)) * irradiance[:, None]
     return counting_errors(dataset, data.points, data.log_derivative) | {
         "detector_stage": ErrorSource(effect(0.0, 1.0), None, True),
-        "sample_stage": ErrorSource(effect(1.0, -1.0), incidence_groups(data.theta_in), True),
+        "sample_stage": ErrorSource(effect(1.0, -1.0), incidence, True),
+        "sample_stage_at_reference": ErrorSource(at_reference, incidence, True),
     }
 
 
@@ -318,18 +323,20 @@ def _result(
     with_shift = shift_determined is not None
     by_source = _covariances(data, view, parameters, free)
     shown = 3 if with_shift else 1
-    covariance = np.diag(np.full(shown, math.inf))
-    covariance[:free, :free] = sum(by_source.values())
-    sigma = np.sqrt(np.diag(covariance))
-
     valid = data.root_weight > 0
     residual = (view.log_model(*parameters) - data.log_measured)[valid]
     errors = _errors(data, view.aperture, parameters)
     expected = np.sqrt(sum(source.values**2 for source in errors.values()))[valid]
     around = data.log_measured[valid] - data.log_measured[valid].mean()
+    residual_ratio = float(np.sqrt(np.mean((residual / expected) ** 2)))
+    # residuals beyond the noise are errors of the model; the parameters then stand for less than the noise says
+    inflation = max(residual_ratio, 1.0) ** 2
+    covariance = np.diag(np.full(shown, math.inf))
+    covariance[:free, :free] = inflation * sum(by_source.values())
+    sigma = np.sqrt(np.diag(covariance))
     alpha, h, w = parameters
     slope = cosine_slope(theta_m(in_plane(dataset.theta_in, dataset.theta_out)), h, w)
-    angle = sum(float(by_source.get(source, np.zeros((1, 1)))[0, 0]) for source in ("detector_stage", "sample_stage"))
+    angle = sum(inflation * float(part[0, 0]) for source, part in by_source.items() if "stage" in source)
     verdict = judge(
         Evidence(
             dataset=dataset,
@@ -337,7 +344,7 @@ def _result(
             alpha=alpha,
             u_alpha=float(sigma[0]),
             u_alpha_from_angles=math.sqrt(angle),
-            residual_ratio=float(np.sqrt(np.mean((residual / expected) ** 2))),
+            residual_ratio=residual_ratio,
             scanned_alphas=(float(_ALPHAS[0]), float(_ALPHAS[-1])),
             h=h if with_shift else None,
             u_h=float(sigma[1]) if with_shift else math.inf,

@@ -20,7 +20,7 @@ from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.models import cook_torrance, cosine_slope, shift, theta_m
 from analysis.results import ColourDifferences, LocalFit, ModelFit, Parameter, SampleAnalysis, Verdict
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.dataset import NOT_COVERED, Dataset
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry
 
@@ -30,7 +30,7 @@ SCHEMA_VERSION = 1
 
 _NOTE = (
     'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
-    "(coverage factor 1); angles in degrees, theta_out signed with the mirror direction at +theta_in, "
+    f"(coverage factor 1; {NOT_COVERED}); angles in degrees, theta_out signed with the mirror direction at +theta_in, "
     "wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
 )
 

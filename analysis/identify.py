@@ -43,12 +43,15 @@ class Evidence:
 
 
 def lobe_width(alpha: float) -> float:
-    """Full width at half maximum of a GGX lobe in theta_out, degrees.
+    """Full width at half maximum of the GGX distribution of normals, as seen in theta_out, degrees.
 
-    D falls to one half where tan(theta_m) = alpha sqrt(sqrt(2) - 1) (Walter et al. 2007, Eq. 33), and theta_m
-    changes half as fast as theta_out.
+    D = alpha^2 / (pi (cos^2 (alpha^2 - 1) + 1)^2) falls to one half where cos^2 = (1 - sqrt(2) alpha^2) / (1 - alpha^2)
+    (Walter et al. 2007, Eq. 33), and theta_m changes half as fast as theta_out. 360 where D never falls that far.
     """
-    return 4 * math.degrees(math.atan(alpha * math.sqrt(math.sqrt(2) - 1)))
+    squared = alpha**2
+    if squared >= math.sqrt(0.5):
+        return 360.0
+    return 4 * math.degrees(math.acos(math.sqrt((1 - math.sqrt(2) * squared) / (1 - squared))))
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -102,6 +105,6 @@ def _notes(evidence: Evidence) -> list[str]:
     if evidence.residual_ratio > NOTED_RESIDUAL_RATIO:
         notes.append(
             f"The residuals are {evidence.residual_ratio:.3g} times the uncertainty of the measurement: the model "
-            "does not describe everything, and the standard errors cover the measurement only."
+            "does not describe everything. The standard errors are inflated by this factor (Birge ratio)."
         )
     return notes

@@ -16,6 +16,7 @@ from analysis.export_mitsuba import LARGEST_TESTED_ANGLE, BsdfReport
 from analysis.identify import lobe_width
 from analysis.notation import roughly, with_uncertainty
 from analysis.results import ModelFit, SampleAnalysis
+from goniometer.dataset import NOT_COVERED
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
 MODEL_NAMES = {
@@ -45,7 +46,7 @@ class RunFacts:
     certificate: str
     """Which certificate the reference panel has, in words."""
     blocked_points: int
-    """Directions that were asked for and left out because the detector would block the source."""
+    """Directions of a 1 degree grid in which the detector would block the source; a plan never asks for them."""
     failed_points: int
     """Directions that could not be measured."""
     files: tuple[tuple[str, str], ...]
@@ -75,7 +76,7 @@ def report_html(analysis: SampleAnalysis, facts: RunFacts) -> str:
             _shift(analysis),
             _models(analysis),
             _left_out(analysis, facts),
-            _files(facts),
+            _files(analysis, facts),
             _lineage(analysis, facts),
         ]
     )
@@ -92,7 +93,7 @@ def _opening(analysis: SampleAnalysis, facts: RunFacts) -> str:
     tiles = [
         ("spectra measured", f"{points}"),
         ("a 1° grid would need", f"{facts.uniform_points}"),
-        ("time on the bench", _duration(facts.bench_time)),
+        ("bench time of this sample", _duration(facts.bench_time)),
         ("wavelengths", f"{dataset.wavelengths[0]:.0f} to {dataset.wavelengths[-1]:.0f} nm"),
         ("aperture", f"{dataset.aperture:g}°"),
     ]
@@ -119,7 +120,7 @@ def _verdict(analysis: SampleAnalysis) -> str:
     if sound:
         names = ", ".join(MODEL_NAMES[fit.model] for fit in sound)
         notes = [f"{MODEL_NAMES[fit.model]}: {' '.join(fit.verdict.reasons)}" for fit in sound if fit.verdict.reasons]
-        parts.append(f'<div class="verdict"><strong>✓ May be trusted: {names}</strong>{_list(notes)}</div>')
+        parts.append(f'<div class="verdict"><strong>✓ Parameters are determined: {names}</strong>{_list(notes)}</div>')
     return "\n".join(parts)
 
 
@@ -139,7 +140,7 @@ def _measured(analysis: SampleAnalysis) -> str:
             f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the lamp; there the "
             "detector blocks the light (hatched). Empty places were not measured; on the right, pale cells are too "
             "dark to have a hue. Point at a cell for its angles and its BRDF, with the standard uncertainty (coverage "
-            "factor 1) in brackets.",
+            "factor 1) of its counts in brackets; the error of the angles is not in it.",
         )
         + '<div class="pair"><div><h3>Where the light goes</h3>'
         + _figure(
@@ -163,15 +164,15 @@ def _shift(analysis: SampleAnalysis) -> str:
     dataset, local = analysis.dataset, analysis.local
     fit = analysis.model("global")
     reliable = int(local.reliable.sum())
-    good = float(np.mean(local.r2[local.reliable] > 0.9)) if reliable else 0.0
+    good = int(np.sum(local.r2[local.reliable] > 0.9))
     return (
         "<h2>The wavelength shift</h2>"
         "<p>A smooth metal colours light only through its Fresnel reflectance. On a rough one every spectrum is tilted "
         "on top of that, along a straight line: diffraction. The <em>slope</em> m of this line is fitted to every "
         f"spectrum on its own (local fit); m = 1 /µm means that the reflectance rises by 10 % from {local.lambda_n:g} "
         f"to {local.lambda_n + 100:g} nm. {reliable} of {local.reliable.size} spectra give a reliable slope; the fit "
-        f"explains more than 90 % of the variation (r² &gt; 0.9) in {100 * good:.0f} % of these.</p>"
-        + _slope_in_words(fit)
+        f"explains more than 90 % of the variation (r² &gt; 0.9) in {good} of these.</p>"
+        + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2)
         + _figure(
             figures.slopes(dataset, local, fit, "slopes"),
             "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
@@ -182,8 +183,8 @@ def _shift(analysis: SampleAnalysis) -> str:
     )
 
 
-def _slope_in_words(fit: ModelFit) -> str:
-    """What the cosine says, for a trusted fit."""
+def _slope_in_words(fit: ModelFit, largest: float) -> str:
+    """What the cosine says up to theta_m = `largest`, degrees, for a trusted fit."""
     if not fit.verdict.trusted:
         return "<p>For this sample one cosine does not describe the slopes; see the verdict above.</p>"
     h, w, t_y = fit.value("h"), fit.value("w"), fit.value("t_y")
@@ -192,13 +193,22 @@ def _slope_in_words(fit: ModelFit) -> str:
         f"<p>In the mirror direction the slope is {mirror:+.2f} /µm, so the reflection is "
         f"{'reddish' if mirror > 0 else 'bluish'} there".replace("-", "−")
     )
-    if h != 0 and abs(t_y / h) < 1 and w > 0:
-        neutral = np.degrees(np.arccos(-t_y / h)) / w
-        if neutral < 90:
-            return (
-                f"{words}; it is neutral at θm = {neutral:.0f}° and {'bluish' if mirror > 0 else 'reddish'} beyond.</p>"
-            )
-    return f"{words}, and it keeps that hue over all measured directions.</p>"
+    zeros = _zeros(h, w, t_y, largest)
+    if not zeros:
+        return f"{words}, and it keeps that hue over all measured directions.</p>"
+    hues = ("bluish", "reddish") if mirror > 0 else ("reddish", "bluish")
+    turns = ", ".join(f"{hues[i % 2]} beyond θm = {zero:.0f}°" for i, zero in enumerate(zeros))
+    return f"{words}; it turns {turns}.</p>"
+
+
+def _zeros(h: float, w: float, t_y: float, largest: float) -> list[float]:
+    """Angles theta_m up to `largest`, degrees, at which h cos(w theta_m) + t_y changes its sign, ascending."""
+    if h == 0 or abs(t_y / h) >= 1 or w <= 0:
+        return []
+    first = np.arccos(-t_y / h)
+    turns = np.arange(int(np.radians(largest) * w / (2 * np.pi)) + 1) * 2 * np.pi
+    zeros = np.degrees(np.sort(np.concatenate([turns + first, turns + 2 * np.pi - first])) / w)
+    return [float(zero) for zero in zeros if zero < largest]
 
 
 def _models(analysis: SampleAnalysis) -> str:
@@ -262,14 +272,16 @@ def _difference_table(analysis: SampleAnalysis) -> str:
             + "".join(f'<td class="number">{value:.2f}</td>' for value in cells)
             + "</tr>"
         )
+    counts = [analysis.differences["cook-torrance"].statistics(kind)["count"] for kind in ("absolute", "chromatic")]
     head = "".join(f'<th class="number">{t}</th>' for t in ("mean", "mean, hue only", "median", "95 %", "largest"))
     return (
         "<h3>Mean colour difference to the measurement</h3>"
         f'<div class="wide"><table><thead><tr><th>model</th>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
-        "<caption>CIEDE2000 over all measured directions; 1 is just noticeable. Values compare cos(θ in) × BRDF "
-        "under D65, white being 1; “hue only” compares spectra divided by their value at "
-        f"{analysis.local.lambda_n:g} nm. The global model and the local fit take their brightness from the "
-        "measurement, so only their hue is a test.</caption></table></div>"
+        f"<caption>CIEDE2000 over {counts[0]} measured directions; 1 is just noticeable. Values compare cos(θ in) × "
+        "BRDF under D65, white being 1; “hue only” compares spectra divided by their value at "
+        f"{analysis.local.lambda_n:g} nm, where they stand clear of their noise ({counts[1]} directions). The global "
+        "model and the local fit take their brightness from the measurement, so only their hue is a test.</caption>"
+        "</table></div>"
     )
 
 
@@ -293,8 +305,9 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         "<h3>Parameters</h3>"
         '<div class="wide"><table><thead><tr><th>model</th><th>parameter</th><th class="number">value</th>'
         f"<th>meaning</th></tr></thead><tbody>{''.join(rows)}</tbody>"
-        "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from the "
-        "measurement. A value with ≈ belongs to a fit that is not to be trusted.</caption></table></div>"
+        "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from the counts "
+        f"and the errors of the stages; {NOT_COVERED}. A value with ≈ belongs to a fit that is not to be trusted."
+        "</caption></table></div>"
     )
 
 
@@ -302,8 +315,8 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
     dataset, local = analysis.dataset, analysis.local
     saturated, unreliable = int(dataset.saturated.sum()), int(np.sum(~local.reliable))
     items = [
-        f"{facts.blocked_points} directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp: the detector "
-        "stands in the beam there. They are in no picture, no fit and no file.",
+        f"Directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp ({facts.blocked_points} of a 1° grid): "
+        "the detector would stand in the beam. They are in no picture, no fit and no file.",
         f"{facts.failed_points} directions could not be measured." if facts.failed_points else "",
         f"{saturated} spectra were too bright at the shortest exposure in some pixels and take no part in the fits."
         if saturated
@@ -316,7 +329,7 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
     return "<h2>What was left out</h2>" + _list([item for item in items if item])
 
 
-def _files(facts: RunFacts) -> str:
+def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
     rows = "".join(
         f'<tr><td><a href="{escape(path, quote=True)}"><code>{escape(path)}</code></a></td><td>{escape(what)}</td></tr>'
         for path, what in facts.files
@@ -325,12 +338,13 @@ def _files(facts: RunFacts) -> str:
     if facts.bsdf is None:
         return text
     error = facts.bsdf.error
+    doubt = "" if analysis.model("cook-torrance-shift").verdict.trusted else ", and this fit is not to be trusted"
     median, p99, maximum = (f"{100 * value:.1f} %" for value in (error.median, error.p99, error.maximum))
     return text + (
-        "<p>The rendering file (<code>.bsdf</code>) holds the fitted Cook-Torrance model, not the measurement: an "
-        "in-plane scan cannot fill a hemisphere. Read back as a renderer reads it, it is off its model by "
-        f"{median} at the median, by less than {p99} in 99 of 100 directions and by {maximum} at most, up to "
-        f"{LARGEST_TESTED_ANGLE:g}° from the normal; interpolating its {len(facts.bsdf.wavelengths)} wavelengths "
+        "<p>The rendering file (<code>.bsdf</code>) holds the fitted model Cook-Torrance with shift, not the "
+        f"measurement{doubt}: an in-plane scan cannot fill a hemisphere. Read back as a renderer reads it, it is off "
+        f"its model by {median} at the median, by less than {p99} in 99 of 100 directions and by {maximum} at most, up "
+        f"to {LARGEST_TESTED_ANGLE:g}° from the normal; interpolating its {len(facts.bsdf.wavelengths)} wavelengths "
         f"costs at most {facts.bsdf.colour_error:.2f} dE00.</p>"
     )
 

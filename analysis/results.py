@@ -98,19 +98,20 @@ class ColourDifferences:
     """Both spectra normalised at lambda_n first."""
 
     def statistics(self, kind: str = "absolute") -> dict[str, float]:
-        """Mean, median, p95 and max of "absolute" or "chromatic"; points without a value are left out.
+        """Mean, median, p95, max and count of "absolute" or "chromatic"; points without a value are left out.
 
-        All are NaN where no point has a value.
+        All but the count are NaN where no point has a value.
         """
         values = getattr(self, kind)
         values = values[np.isfinite(values)]
         if values.size == 0:
-            return dict.fromkeys(("mean", "median", "p95", "max"), math.nan)
+            return dict.fromkeys(("mean", "median", "p95", "max"), math.nan) | {"count": 0}
         return {
             "mean": float(np.mean(values)),
             "median": float(np.median(values)),
             "p95": float(np.percentile(values, 95)),
             "max": float(np.max(values)),
+            "count": int(values.size),
         }
 
 

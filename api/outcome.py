@@ -15,6 +15,7 @@ from rich.table import Table
 
 from analysis.notation import roughly, with_uncertainty
 from analysis.results import ColourDifferences
+from goniometer.dataset import NOT_COVERED
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.store import Store
@@ -155,7 +156,7 @@ def table(samples: list[SampleOutcome]) -> Table:
 
 def remarks(samples: list[SampleOutcome]) -> list[str]:
     """Sentences below the table: why a fit is not to be trusted, and where the files are."""
-    lines = []
+    lines = [f"Uncertainties in brackets are standard uncertainties, k = 1; {NOT_COVERED}."]
     for sample in samples:
         if not sample.trusted.get("cook-torrance-shift", True):
             why = " ".join(sample.reasons["cook-torrance-shift"])

@@ -10,6 +10,7 @@ from analysis.fresnel import load_conductor
 from analysis.notation import roughly, with_uncertainty
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.service import run_facts
+from goniometer.dataset import NOT_COVERED
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -42,7 +43,7 @@ def fit_dataset(store: Store, dataset_id: int, model: str | None) -> dict[str, A
 
 def fit_lines(found: dict[str, Any]) -> list[str]:
     """The result of `fit_dataset` as lines for a person; uncertainties have coverage factor k = 1."""
-    lines = [f"Dataset {found['dataset']}, {found['sample']}; standard uncertainties, k = 1"]
+    lines = [f"Dataset {found['dataset']}, {found['sample']}; standard uncertainties, k = 1; {NOT_COVERED}"]
     for name, part in found["fits"].items():
         if name == "local":
             slopes = [m for m, good in zip(part["m_per_um"], part["reliable"], strict=True) if good]

@@ -8,6 +8,9 @@ import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
 
+NOT_COVERED = "the uncertainty of the reference panel, lamp drift and stray light are not in it"
+"""What no stated uncertainty contains, to be said wherever one is stated."""
+
 
 @dataclass(frozen=True)
 class Dataset:
@@ -47,15 +50,21 @@ class Dataset:
 
     @property
     def u(self) -> FloatArray:
-        """[points, wavelengths] combined standard uncertainty (coverage factor 1), 1/sr."""
+        """[points, wavelengths] combined standard uncertainty (coverage factor 1) at the stated angles, 1/sr.
+
+        Of the counts only: the errors of the stages, of the reference panel and of the lamp are not in it.
+        """
         return np.sqrt(self.u_random**2 + self.u_dark**2 + self.u_reference**2 + self.u_reference_dark**2)
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all numbers, so that a fit can say what exactly it was fitted to."""
-        digest = hashlib.sha256(self.sample.encode())
+        """SHA-256 of the sample's name and all numbers, so that a fit can say what exactly it was fitted to."""
+        digest = hashlib.sha256()
         for each in dataclasses.fields(self):
-            array = getattr(self, each.name)
-            if isinstance(array, np.ndarray):
-                digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+            value = getattr(self, each.name)
+            if isinstance(value, np.ndarray):
+                digest.update(f"{each.name} {value.shape}\n".encode())
+                digest.update(np.ascontiguousarray(value, dtype="<f8").tobytes())
+            elif each.name != "lineage":
+                digest.update(f"{each.name} {value!r}\n".encode())
         return digest.hexdigest()

@@ -159,14 +159,14 @@ class OpticalBench:
 
 
 def positioning_error(seed: int, axis_name: str, std_deg: float = 0.005) -> Callable[..., float]:
-    """How far an axis comes to rest from where it was sent, degrees, as a function of one or more angles, degrees.
+    """How far an axis comes to rest from where it was sent, degrees, as a function of the target, degrees.
 
-    Gaussian with standard deviation `std_deg`; the same angles always get the same error.
+    Gaussian with standard deviation `std_deg`. The same target in the same circumstances, which are any further
+    arguments, always gets the same error.
     """
 
-    def error(*angles: float) -> float:
-        steps = [round(angle * _ANGLE_STEPS) for angle in angles]
-        return float(_generator(seed, axis_name, *steps).normal(0, std_deg))
+    def error(target: float, *circumstances: object) -> float:
+        return float(_generator(seed, axis_name, round(target * _ANGLE_STEPS), *circumstances).normal(0, std_deg))
 
     return error
 

@@ -42,21 +42,22 @@ def simulated_laboratory(seed: int) -> Iterator[Laboratory]:
     The same `seed` gives the same noise and the same positioning errors, whatever happened before.
     """
     clock = SimulatedClock()
+    sample_error, detector_error = (positioning_error(seed, f"{stage} stage") for stage in ("sample", "detector"))
     sample_axis = Axis(
         clock,
         velocity=20.0,
         acceleration=80.0,
         limits=(-5.0, 95.0),
-        positioning_error=positioning_error(seed, "sample stage"),
+        # Errors depend on what is measured and not on time, so that a resumed scan repeats those of a killed one; a
+        # move that is made again for another sample or direction has another error, as on a real stage.
+        positioning_error=lambda target: sample_error(target, bench.mounted),
     )
-    detector_error = positioning_error(seed, "detector stage")
     detector_axis = Axis(
         clock,
         velocity=30.0,
         acceleration=60.0,
         limits=(-95.0, 180.0),
-        # The same detector angle serves many directions; each gets an error of its own, as each is a move of its own.
-        positioning_error=lambda target: detector_error(target, sample_axis.position()),
+        positioning_error=lambda target: detector_error(target, bench.mounted, round(sample_axis.position(), 4)),
     )
     bench = OpticalBench(clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis)
     sample_stage = SimulatedSMC100(sample_axis)

@@ -53,6 +53,7 @@ def _measure(
     wavelengths = np.arange(382.0, 996.0, wavelength_step)
     group = np.unique(theta_in, return_inverse=True)[1]
     sample_error = rng.normal(0, U_ANGLE, len(incident))[group]
+    error_at_reference = rng.normal(0, U_ANGLE, len(incident))[group]
     detector_error = rng.normal(0, U_ANGLE, theta_in.size)
     # the detector stage sets theta_in + theta_out, so turning the sample moves both
     true_in, true_out = theta_in + sample_error, theta_out + detector_error - sample_error
@@ -61,6 +62,8 @@ def _measure(
     for i in range(theta_in.size):  # one by one, for a fine rule does not fit into memory otherwise
         nodes = through_aperture(true_in[i : i + 1], true_out[i : i + 1], aperture)
         clean[i] = aperture.weights @ cook_torrance(nodes, wavelengths, alpha, load_conductor(), h, w)[0]
+    # irradiance goes with the cosine of the true angle, of the sample and of the reference panel before it
+    clean *= (np.cos(np.radians(true_in)) / np.cos(np.radians(theta_in + error_at_reference)))[:, None]
     time = np.where(np.abs(theta_out - theta_in) < 30, 1.0, 4.0)
     u_random, u_dark = np.hypot(noise * clean, floor), 0.25 * noise * clean
     u_reference = np.sqrt(0.5) * reference * clean

@@ -38,7 +38,7 @@ def test_the_samples_of_the_bench_are_recovered_and_trusted(measure: Measure, sa
     plain = cook_torrance_fit(dataset)
     assert plain.verdict.trusted
     assert plain.cost_value > 10 * fit.cost_value
-    assert any("standard errors cover the measurement only" in reason for reason in plain.verdict.reasons)
+    assert any("standard errors are inflated" in reason for reason in plain.verdict.reasons)
 
 
 @pytest.mark.slow
@@ -150,5 +150,4 @@ def test_wavelengths_beyond_the_metal_and_too_few_points_are_refused(measure: Me
 def test_lobe_width_is_where_the_distribution_halves(alpha: float) -> None:
     half_angle = np.radians(lobe_width(alpha) / 4)
     ratio = ggx_ndf(np.array([np.cos(half_angle)]), alpha) / ggx_ndf(np.array([1.0]), alpha)
-    # Walter et al. 2007, Eq. 33, has a factor cos^-4 besides, which `lobe_width` leaves out
-    assert ratio[0] * np.cos(half_angle) ** 4 == pytest.approx(0.5, abs=1e-3)
+    assert ratio[0] == pytest.approx(0.5, abs=1e-9)

@@ -14,7 +14,7 @@ from analysis.errors import ExportError
 from analysis.export_mitsuba import BsdfReport, RelativeError
 from analysis.notation import with_uncertainty
 from analysis.report import RunFacts, report_html, write_report
-from analysis.results import SampleAnalysis, Verdict
+from analysis.results import Parameter, SampleAnalysis, Verdict
 from goniometer.dataset import Dataset
 
 ERROR = RelativeError(0.0081, 0.0153, 0.0242)
@@ -113,7 +113,7 @@ def test_parameters_carry_their_uncertainty_and_unit(page: _Reader, rough_analys
 
 
 def test_the_report_says_what_was_left_out_and_how_good_the_rendering_file_is(page: _Reader) -> None:
-    assert "27 directions within 5°" in page.text
+    assert "Directions within 5° of the way back to the lamp (27 of a 1° grid)" in page.text
     assert "2 directions could not be measured" in page.text
     assert "12 min 34 s" in page.text
     assert "0.8 % at the median, by less than 1.5 % in 99 of 100 directions and by 2.4 % at most" in page.text
@@ -134,3 +134,12 @@ def test_a_folder_that_cannot_be_written_is_named(rough_analysis: SampleAnalysis
         write_report(tmp_path / "nowhere" / "report.html", rough_analysis, FACTS)
     write_report(tmp_path / "report.html", rough_analysis, FACTS)
     assert (tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_a_fast_cosine_is_said_to_turn_more_than_once(rough_analysis: SampleAnalysis) -> None:
+    # h cos(w theta_m) with w = 4.5 is zero at 20, 60 and 100 degrees
+    fit = rough_analysis.model("global")
+    parameters = tuple(Parameter(n, v, 0.01, "1") for n, v in (("h", 0.9), ("w", 4.5), ("t_y", 0.0), ("p", 1.0)))
+    fast = replace(fit, parameters=parameters, verdict=Verdict(True))
+    html = report_html(replace(rough_analysis, models=(fast, *rough_analysis.models[1:])), FACTS)
+    assert "it turns bluish beyond θm = 20°, reddish beyond θm = 60°.</p>" in html
