@@ -11,6 +11,15 @@ import pytest
 
 COMMAND = str(Path(sys.executable).with_name("goniometer"))
 
+LONG = """
+name: Long
+samples:
+  - {name: Sample 1, material: sample-1}
+  - {name: Sample 2, material: sample-2}
+  - {name: Sample 3, material: sample-3}
+"""
+"""A campaign that takes long enough for another command to reach it."""
+
 Cli = Callable[..., subprocess.CompletedProcess[str]]
 
 SMALL = """
@@ -38,8 +47,9 @@ def cli() -> Cli:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the small campaign in it and nothing else."""
+    """A folder with two campaign files in it and nothing else."""
     (tmp_path / "small.yaml").write_text(SMALL)
+    (tmp_path / "long.yaml").write_text(LONG)
     return tmp_path
 
 
