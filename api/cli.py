@@ -6,24 +6,25 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 import asyncio
 import contextlib
 import json
+import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from rich.console import Console
 
 from analysis.errors import AnalysisError
 from api.demo import demo as run_demo
-from api.derive import Export
+from api.derive import Export, slug
 from api.display import duration, progress_display
 from api.outcome import SampleOutcome, outcomes, remarks, table
 from api.preview import preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
-from api.service import Watch, active_scan, find_dataset, run
+from api.service import ACTIVE_PHASES, Watch, active_scan, find_dataset, run
 from api.settings import load_instrument
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
@@ -44,6 +45,7 @@ DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite dat
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for fits, rendering files and reports.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name of its own
+Result = TypeVar("Result")
 DATABASE = Path("goniometer.db")
 OUTPUT = Path("results")
 
@@ -57,7 +59,11 @@ def emit(content: object) -> None:
 async def ask_to_mount(scan: Scan) -> None:
     """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
     what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
-    screen.print(f"Mount {what}, check that it lies flat against the holder, and press Enter.", highlight=False)
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise RunAborted(f"Nobody can confirm that {what} is mounted, as there is no terminal; run this from one.")
+    _forget_typed_ahead()
+    request = f"Mount {what}, check that it lies flat against the holder, and press Enter."
+    screen.print(request, markup=False, highlight=False)
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[str] = loop.create_future()
 
@@ -66,14 +72,42 @@ async def ask_to_mount(scan: Scan) -> None:
             answer.set_result(line)
 
     def read() -> None:
-        line = sys.stdin.readline()
+        line = ""
+        with contextlib.suppress(OSError):  # a terminal that has gone says nothing any more
+            line = sys.stdin.readline()
         with contextlib.suppress(RuntimeError):  # the run that asked is over and its loop closed
             loop.call_soon_threadsafe(deliver, line)
 
     # A daemon, because nothing can end a thread that waits for a key, and an abort must not wait for it.
     threading.Thread(target=read, daemon=True).start()
     if not await answer:
-        raise RunAborted(f"Nobody can confirm that {what} is mounted, as there is no terminal; run this from one.")
+        raise RunAborted(f"Nobody can confirm that {what} is mounted, as the terminal was closed; run this again.")
+
+
+def _forget_typed_ahead() -> None:
+    """Throw away keys that were pressed before the question was asked: they are no answer to it."""
+    if sys.platform == "win32":
+        import msvcrt  # noqa: PLC0415  (exists on Windows only)
+
+        while msvcrt.kbhit():
+            msvcrt.getch()
+    else:
+        import termios  # noqa: PLC0415  (exists elsewhere only)
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
+def _wait(work: Coroutine[Any, Any, Result]) -> Result:
+    """Do `work`; the signals that end a process end it properly, with the bench made safe."""
+
+    async def guarded() -> Result:
+        task = asyncio.current_task()
+        for name in ("SIGTERM", "SIGHUP"):
+            with contextlib.suppress(AttributeError, NotImplementedError):  # Windows has no such signals
+                asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)  # type: ignore[union-attr]
+        return await work
+
+    return asyncio.run(guarded())
 
 
 @app.command()
@@ -84,9 +118,10 @@ def demo(
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
     with progress_display(screen) as (show, note):
-        result = asyncio.run(run_demo(output, seed, Watch(show, note, ask_to_mount)))
+        result = _wait(run_demo(output, seed, Watch(show, note, ask_to_mount)))
     if as_json:
         emit(asdict(result))
+        _fail_for(result.failures)
         return
     _show(result.samples)
     Console().print(
@@ -109,12 +144,27 @@ def run_command(
     settings = load_instrument(instrument) if instrument else None
     store = Store.open(database)
     with progress_display(screen) as (show, note):
-        campaign_id = asyncio.run(run(store, wanted, output, settings, Watch(show, note, ask_to_mount)))
-    samples = outcomes(store, campaign_id, truth=settings is None)
+        folder = output / slug(wanted.name)
+        result = _wait(run(store, wanted, folder, settings, Watch(show, note, ask_to_mount)))
+    samples = outcomes(store, result.campaign_id, truth=settings is None)
     if as_json:
-        emit({"campaign": wanted.name, "database": str(database), "samples": [asdict(s) for s in samples]})
-        return
-    _show(samples)
+        emit(
+            {
+                "campaign": wanted.name,
+                "database": str(database),
+                "samples": [asdict(sample) for sample in samples],
+                "failures": result.failures,
+            }
+        )
+    else:
+        _show(samples)
+    _fail_for(result.failures)
+
+
+def _fail_for(failures: tuple[str, ...]) -> None:
+    """End with exit code 1 where some sample has no fits, once everything else has been shown."""
+    if failures:
+        _fail(" ".join(failures), 1)
 
 
 def _show(samples: list[SampleOutcome]) -> None:
@@ -141,7 +191,9 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """What is in the database, and what is running."""
     store = _existing(database)
     found = [asdict(scan) for scan in store.scans()]
+    running = store.in_use()
     for entry in found:
+        entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and not running
         points = store.points(entry["id"])
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["datasets"] = list(store.datasets(entry["id"]))
@@ -151,7 +203,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     out = Console()
     names = store.campaigns()
     for entry in found:
-        state = entry["outcome"] or entry["phase"]
+        state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
         line = f"{names[entry['campaign_id']]}: {entry['sample']}: {state}, {entry['points_done']} points{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
@@ -165,7 +217,8 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
         if as_json:
             emit({"scan": scan.id, "sample": scan.sample, "requested": verb})
         else:
-            Console().print(f"Asked the scan of {scan.sample} to {verb}; it obeys after the exposure in hand.")
+            told = f"Asked the scan of {scan.sample} to {verb}; it obeys after the exposure in hand."
+            Console().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
     return command
@@ -235,18 +288,21 @@ def _existing(database: Path) -> Store:
 def main() -> NoReturn:
     """Entry point of `goniometer`: runs a command and turns typed errors into one line and an exit code."""
     try:
-        app(sys.argv[1:] or ["--help"], standalone_mode=False)
-    except typer.Exit as ending:
-        sys.exit(ending.exit_code)
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        sys.stdout.flush()
     except UsageError as error:
         _fail(f"{error.format_message().rstrip('.')}; see goniometer --help", 2)
     except (GoniometerError, AnalysisError) as error:
         _fail(str(error), error.exit_code)
     except DriverError as error:
         _fail(str(error), 1)
-    except KeyboardInterrupt:
-        _fail("Stopped; run the same command again to go on where it stood.", 130)
-    sys.exit(0)
+    except OSError as error:
+        _fail(f"{error.filename or 'The output'}: {error.strerror or error}; make room, or name another place.", 1)
+    except asyncio.CancelledError:
+        code = 143
+    if code in {130, 143}:  # typer turns Ctrl-C into the first, SIGTERM and SIGHUP come as the second
+        _fail("Stopped; run the same command again to go on where it stood.", code)
+    sys.exit(code or 0)
 
 
 def _fail(message: str, code: int) -> NoReturn:

@@ -43,6 +43,8 @@ class DemoResult:
     bench_seconds: float
     """Time that all points took on the simulated bench, those of the reference panel included."""
     samples: list[SampleOutcome]
+    failures: tuple[str, ...]
+    """Why samples that were measured have no fits; empty when all have."""
 
 
 async def demo(output: Path, seed: int, watch: Watch) -> DemoResult:
@@ -55,8 +57,9 @@ async def demo(output: Path, seed: int, watch: Watch) -> DemoResult:
     database = output / "goniometer.db"
     store = Store.open(database)
     campaign = Campaign(name="Demo", seed=seed, samples=SAMPLES)
-    campaign_id = await run(store, campaign, output, None, watch)
+    result = await run(store, campaign, output, None, watch)
+    campaign_id = result.campaign_id
     samples = outcomes(store, campaign_id, truth=True)
     bench_seconds = sum(point.seconds for scan in store.scans(campaign_id) for point in store.points(scan.id))
     store.close()
-    return DemoResult(str(database), seed, time.monotonic() - began, bench_seconds, samples)
+    return DemoResult(str(database), seed, time.monotonic() - began, bench_seconds, samples, result.failures)

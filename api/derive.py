@@ -4,12 +4,14 @@ import hashlib
 import multiprocessing
 import os
 import re
+import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from analysis.analyse import analyse
+from analysis.errors import ExportError
 from analysis.export_mitsuba import BsdfReport, write_fit
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
@@ -17,6 +19,9 @@ from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 from goniometer.errors import StoreFull
+
+REPORT = "report.html"
+"""Name of the report in the folder of a sample."""
 
 RENDERED_MODEL = "cook-torrance-shift"
 """The model that goes to the renderer."""
@@ -55,7 +60,7 @@ def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
     bsdf, export = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
     exports.append(export)
     files = tuple((e.path.name, _CONTENT[e.file_format]) for e in exports)
-    exports.append(write_analysis_report(folder / "report.html", analysis, replace(facts, files=files, bsdf=bsdf)))
+    exports.append(write_analysis_report(folder / REPORT, analysis, replace(facts, files=files, bsdf=bsdf)))
     return Derived(fits, tuple(exports))
 
 
@@ -86,8 +91,8 @@ def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export
 
 
 def slug(sample: str) -> str:
-    """A file name for a sample: lower case, words joined by hyphens."""
-    return re.sub(r"[^a-z0-9]+", "-", sample.lower()).strip("-") or "sample"
+    """A file name for a sample or a campaign: its letters and digits in lower case, joined by hyphens."""
+    return re.sub(r"[\W_]+", "-", sample.lower()).strip("-") or "sample"
 
 
 def make_folder(folder: Path) -> None:
@@ -100,18 +105,25 @@ def make_folder(folder: Path) -> None:
 
 def _written(file_format: str, path: Path, write: Callable[[Path], object]) -> Export:
     """Let `write` fill a file beside `path` and put it in place in one step, so that no half file is ever seen."""
+    path = path.resolve()
     part = path.with_name(path.name + ".part")
     try:
         write(part)
         os.replace(part, path)
         content = path.read_bytes()
-    except OSError as error:
-        raise StoreFull(f"{path} cannot be written: {error.strerror}; make room and run again.") from error
+    except (OSError, ExportError) as error:
+        part.unlink(missing_ok=True)
+        reason = error.strerror if isinstance(error, OSError) else str(error).rstrip(".")
+        raise StoreFull(f"{path} cannot be written ({reason}); make room there or name another place.") from error
     return Export(file_format, path, hashlib.sha256(content).hexdigest())
 
 
 def end_with_parent() -> None:
-    """End this worker when the process that started it is gone, however it went; call it once in a worker."""
+    """End this worker when the process that started it is gone, however it went; call it once in a worker.
+
+    Ctrl-C reaches the worker as well, and ends it without a word: its parent says what there is to say.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     if parent is None:
         return

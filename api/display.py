@@ -40,13 +40,13 @@ def progress_display(console: Console) -> Iterator[tuple[Show, Note]]:
         with _bars(console) as display:
             yield display
     else:
-        yield _lines(console), console.print
+        yield _lines(console), lambda sentence: console.print(sentence, markup=False, highlight=False)
 
 
 @contextmanager
 def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
     columns = (
-        TextColumn("{task.description:<22}"),
+        TextColumn("{task.description:<22}", markup=False),
         BarColumn(bar_width=24),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.completed:>4.0f} of {task.total:.0f} points"),
@@ -65,7 +65,7 @@ def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
                 state=_state(progress),
             )
 
-        yield show, bars.console.print
+        yield show, lambda sentence: bars.console.print(sentence, markup=False, highlight=False)
 
 
 def _lines(console: Console) -> Show:
@@ -78,7 +78,9 @@ def _lines(console: Console) -> Show:
         last[progress.scan_id] = time.monotonic(), progress.phase
         console.print(
             f"{progress.sample}: {progress.done} of about {progress.expected} points, "
-            f"{100 * progress.fraction:.0f} %, {_state(progress)}"
+            f"{100 * progress.fraction:.0f} %, {_state(progress)}",
+            markup=False,
+            highlight=False,
         )
 
     return show

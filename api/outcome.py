@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from analysis.notation import roughly, with_uncertainty
@@ -142,7 +143,7 @@ def table(samples: list[SampleOutcome]) -> Table:
         parameters = sample.parameters.get("cook-torrance-shift", [])
         trusted = sample.trusted.get("cook-torrance-shift")
         shown.add_row(
-            sample.sample,
+            escape(sample.sample),
             f"{sample.points}\n{sample.uniform_1_degree_points}",
             *fits,
             "\n".join(f"{p['name']:5} {_with_error(p) if trusted else roughly(p['value'])}" for p in parameters)
@@ -169,7 +170,10 @@ def remarks(samples: list[SampleOutcome]) -> list[str]:
 
 def _folder(sample: SampleOutcome) -> str:
     paths = [Path(path) for path in sample.files]
-    return f"{paths[0].parent} ({', '.join(sorted(path.name for path in paths))})"
+    folder = paths[0].parent
+    here = Path.cwd()
+    shown = folder.relative_to(here) if folder.is_relative_to(here) else folder
+    return f"{shown} ({', '.join(sorted(path.name for path in paths))})"
 
 
 def _with_error(parameter: dict[str, Any]) -> str:

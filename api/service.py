@@ -3,22 +3,26 @@
 The command line is a thin face over these functions.
 """
 
+import asyncio
 import multiprocessing
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import ExitStack, asynccontextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from analysis.errors import AnalysisError
 from analysis.report import RunFacts
-from api.derive import Derived, derive, end_with_parent, slug
+from api.derive import REPORT, Derived, derive, end_with_parent, slug
 from api.settings import InstrumentSettings, SpectrometerSettings, StageSettings, make_stage
 from drivers.clock import Clock, WallClock
+from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
-from goniometer.calibration import calibrate_scan, certificate_of
+from goniometer.calibration import calibrate_scan, certificate_of, check_certificate
 from goniometer.campaign import Campaign
 from goniometer.dataset import Dataset
-from goniometer.errors import NotInStore
+from goniometer.errors import CalibrationError, CampaignError, NotInStore, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.plan import plan_spec, uniform_grid_size
@@ -27,6 +31,9 @@ from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.laboratory import simulated_laboratory
 from simulators.materials import material
+
+ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
+"""Phases of a scan that some process is running, or was when it was killed."""
 
 SAMPLE_STAGE_LIMITS = (0.0, LARGEST_ANGLE + 5.0)
 DETECTOR_STAGE_LIMITS = (-LARGEST_ANGLE, 2 * LARGEST_ANGLE)
@@ -85,26 +92,47 @@ async def open_bench(
         try:
             await instrument.open()
             yield instrument, mount
+        except BaseException:
+            with suppress(DriverError):  # the device may be what failed, and the first cause is what counts
+                await instrument.safe()
+            raise
         finally:
             await instrument.close()
 
 
-async def run(store: Store, campaign: Campaign, output: Path, settings: InstrumentSettings | None, watch: Watch) -> int:
-    """Run or resume `campaign`, fit every finished scan and write its files below `output`; returns its id.
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to."""
 
-    Fits run in a process of their own while the next sample is measured. Raises what `run_campaign` raises, and
-    `AnalysisError` where a dataset cannot be fitted.
+    campaign_id: int
+    failures: tuple[str, ...]
+    """Why samples that were measured have no fits, as sentences; empty when all have."""
+
+
+async def run(
+    store: Store, campaign: Campaign, output: Path, settings: InstrumentSettings | None, watch: Watch
+) -> RunResult:
+    """Run or resume `campaign`, fit every finished scan and write its files into a folder a sample below `output`.
+
+    Fits run in a process of their own while the next sample is measured; a sample that cannot be calibrated or
+    fitted does not stop the others. Raises `StoreBusy` and what `run_campaign` raises.
     """
-    certificate_of(campaign)  # a bad certificate is found before anything moves
+    check_certificate(campaign)
+    _check_folders(store, campaign)
     if settings is None:
         for sample in campaign.samples:
             material(sample.material)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as executor:
+    with store.exclusive(), ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as executor:
         waiting: dict[int, Future[Derived]] = {}
+        failures: list[str] = []
 
         def finished(scan: Scan) -> None:
-            dataset = calibrate_scan(store, scan.id)
+            try:
+                dataset = calibrate_scan(store, scan.id)
+            except CalibrationError as error:
+                failures.append(f"{scan.sample}: {error}")
+                return
             dataset_id = store.add_dataset(scan.id, dataset)
             waiting[dataset_id] = start_derivation(executor, store, scan, dataset, output)
 
@@ -114,14 +142,38 @@ async def run(store: Store, campaign: Campaign, output: Path, settings: Instrume
             async with open_bench(settings, campaign.seed, watch.mount) as (instrument, mount):
                 campaign_id = await run_campaign(store, campaign, instrument, mount, watch.report, finished)
         for scan in store.scans(campaign_id):
-            missing = _underived_dataset(store, scan)
+            missing = _underived_dataset(store, scan, output)
             if missing is not None and missing not in waiting:
                 waiting[missing] = start_derivation(executor, store, scan, store.dataset(missing), output)
         for dataset_id, future in waiting.items():
+            measured = store.dataset(dataset_id).sample
             if not future.done():
-                watch.note(f"Fitting {store.dataset(dataset_id).sample}")
-            keep(store, dataset_id, future.result())
-    return campaign_id
+                watch.note(f"Fitting {measured}")
+            try:
+                keep(store, dataset_id, await asyncio.wrap_future(future))
+            except (AnalysisError, StoreFull) as error:
+                failures.append(f"{measured}: {error}")
+            except BrokenProcessPool:
+                failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
+    return RunResult(campaign_id, tuple(failures))
+
+
+def _check_folders(store: Store, campaign: Campaign) -> None:
+    """Raise `CampaignError` where results of two samples, or of two campaigns, would go into one folder."""
+    folders: dict[str, str] = {}
+    for name in (sample.name for sample in campaign.samples):
+        other = folders.setdefault(slug(name), name)
+        if other != name:
+            raise CampaignError(
+                f'The samples "{other}" and "{name}" would both be kept in the folder {slug(name)}; '
+                f"give one of them another name."
+            )
+    for name in store.campaigns().values():
+        if name != campaign.name and slug(name) == slug(campaign.name):
+            raise CampaignError(
+                f'The campaigns "{name}" and "{campaign.name}" would both be kept in the folder {slug(name)}; '
+                f"give this one another name."
+            )
 
 
 def _measured(store: Store, campaign_id: int) -> bool:
@@ -132,19 +184,22 @@ def _measured(store: Store, campaign_id: int) -> bool:
     )
 
 
-def _underived_dataset(store: Store, scan: Scan) -> int | None:
-    """The newest dataset of a scan if its fits, or one of its files, are missing."""
+def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
+    """The newest dataset of a scan if its fits, or one of the files that belong to it in `output`, are missing."""
     dataset_id = max(store.datasets(scan.id), default=None)
     if dataset_id is None:
         return None
-    exports = store.exports(dataset_id)
-    whole = any(export.kind == "report" for export in exports) and all(Path(e.text).exists() for e in exports)
+    folder = (output / slug(scan.sample)).resolve()
+    files = [Path(export.text) for export in store.exports(dataset_id) if Path(export.text).parent == folder]
+    fitted = any(fit.kind == "analysis" for fit in store.fits(dataset_id))
+    # the report is written last
+    whole = fitted and folder / REPORT in files and all(file.exists() for file in files)
     return None if whole else dataset_id
 
 
 def start_derivation(executor: Executor, store: Store, scan: Scan, dataset: Dataset, output: Path) -> "Future[Derived]":
     """Start fitting `dataset` and writing its files."""
-    return executor.submit(derive, dataset, run_facts(store, scan), output / slug(scan.sample))
+    return executor.submit(derive, dataset, run_facts(store, scan), (output / slug(scan.sample)).resolve())
 
 
 def keep(store: Store, dataset_id: int, derived: Derived) -> None:
@@ -160,7 +215,7 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
     campaign = store.campaign(scan.campaign_id)
     spec = plan_spec(campaign)
     points = store.points(scan.id)
-    certificate = certificate_of(campaign)
+    certificate = certificate_of(store, scan.campaign_id)
     blocked = sum(
         sum(abs(t + out) < BLOCKED_HALF_WIDTH for out in range(round(spec.lowest), round(spec.highest) + 1))
         for t in spec.theta_in
@@ -181,7 +236,7 @@ def find_dataset(store: Store, name: str) -> int:
     Raises `NotInStore` with the names that there are.
     """
     datasets = {dataset_id: store.scan(scan_id).sample for dataset_id, scan_id in store.datasets().items()}
-    if name.isdigit() and int(name) in datasets:
+    if name.isdecimal() and int(name) in datasets:
         return int(name)
     found = [dataset_id for dataset_id, sample in datasets.items() if sample.lower() == name.lower()]
     if not found:
@@ -192,7 +247,8 @@ def find_dataset(store: Store, name: str) -> int:
 
 def active_scan(store: Store) -> Scan:
     """The scan that is being run; raises `NotInStore` where nothing runs."""
-    for scan in store.scans():
-        if scan.phase in {"running", "pausing", "paused", "aborting"}:
-            return scan
+    if store.in_use():
+        for scan in store.scans():
+            if scan.phase in ACTIVE_PHASES:
+                return scan
     raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")

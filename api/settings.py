@@ -67,6 +67,8 @@ def load_instrument(path: Path) -> InstrumentSettings:
             return InstrumentSettings.model_validate(tomllib.load(file))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror}); name an existing file.") from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: is not UTF-8 text; save it as such.") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from error
     except ValidationError as error:
@@ -82,9 +84,13 @@ def make_stage(name: str, settings: StageSettings, limits: tuple[float, float], 
     """
     if settings.driver == "smc100":
         return SMC100(name, settings.url, clock, address=settings.address, limits=limits)
-    address = urlsplit(settings.url)
-    if address.scheme != "tcp" or not address.hostname or not address.port:
+    try:
+        address = urlsplit(settings.url)
+        host, port = address.hostname, address.port
+    except ValueError:
+        host = port = None
+    if host is None or port is None or address.scheme != "tcp":
         raise ConfigurationError(
             f"{name}: {settings.url!r} is no address of an Oriental AZ; write it as tcp://host:port."
         )
-    return OrientalAZ(name, address.hostname, address.port, clock, unit=settings.address, limits=limits)
+    return OrientalAZ(name, host, port, clock, unit=settings.address, limits=limits)

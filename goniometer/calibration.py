@@ -27,11 +27,14 @@ from goniometer.dataset import Dataset
 from goniometer.errors import CalibrationError
 from goniometer.geometry import Geometry
 from goniometer.instrument import Constants
-from goniometer.reference import NOMINAL_SRS99, Certificate, load_certificate, reference_brdf
+from goniometer.reference import NOMINAL_SRS99, Certificate, parse_certificate, read_certificate, reference_brdf
 from goniometer.store import Store, software_version
 
 BANDS = ((430.0, 470.0), (530.0, 570.0), (630.0, 670.0), (780.0, 820.0))
 """Wavelength bands, nm, whose averages tell the plan where to measure."""
+
+OUTERMOST = 0.1
+"""Degrees that a sample's point may lie beyond the outermost reference point: the stages' error, not extrapolation."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +213,8 @@ def calibrate(
 def band_values(sample: RawScan, known: Response) -> tuple[FloatArray, FloatArray]:
     """cos(theta_in) f in `BANDS` and its random standard uncertainty, each [points, bands]: what the plan looks at.
 
-    A saturated value stands as it was read: for the plan it is bright, and that is enough.
+    A saturated value stands as it was read: for the plan it is bright, and that is enough. NaN where the
+    reference scan does not reach.
     """
     wavelengths = sample.constants.wavelengths
     groups = np.array([(wavelengths >= low) & (wavelengths <= high) for low, high in BANDS], dtype=float).T
@@ -269,7 +273,10 @@ def _ratio(sample: RawScan, measured: Signal, known: Response, groups: FloatArra
 
 
 def _weights(sample: RawScan, known: Response) -> FloatArray:
-    """[points, reference points] of the linear interpolation in theta_out within one incident angle."""
+    """[points, reference points] of the linear interpolation in theta_out within one incident angle.
+
+    NaN for a point that lies more than `OUTERMOST` beyond the reference points: there the response is not known.
+    """
     weights = np.zeros((len(sample.planned), len(known.theta_in)))
     for i, (planned, read_back) in enumerate(zip(sample.planned, sample.read_back, strict=True)):
         same = np.flatnonzero(np.abs(known.theta_in - planned.theta_in) < 1e-6)
@@ -279,8 +286,12 @@ def _weights(sample: RawScan, known: Response) -> FloatArray:
                 f'"{sample.sample}" was measured; scan the reference at this angle too'
             )
         same = same[np.argsort(known.theta_out[same])]
+        angles = known.theta_out[same]
+        if not angles[0] - OUTERMOST <= read_back.theta_out <= angles[-1] + OUTERMOST:
+            weights[i] = np.nan
+            continue
         # The ends of both scans are the same planned angles; their read-backs differ by the stages' error only.
-        position = np.interp(read_back.theta_out, known.theta_out[same], np.arange(len(same)))
+        position = np.interp(read_back.theta_out, angles, np.arange(len(same)))
         left = min(int(position), max(len(same) - 2, 0))
         weights[i, same[left]] = 1 - (position - left)
         if left + 1 < len(same):
@@ -318,11 +329,18 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
 def calibrate_scan(store: Store, scan_id: int, settings: Settings = Settings()) -> Dataset:
     """`calibrate` on a scan in the database, with the reference scan and the certificate of its campaign."""
     reference = store.reference_scan(scan_id)
-    certificate = certificate_of(store.campaign(reference.campaign_id))
+    certificate = certificate_of(store, reference.campaign_id)
     return calibrate(read_raw(store, scan_id), read_raw(store, reference.id), certificate, settings)
 
 
-def certificate_of(campaign: Campaign) -> Certificate:
-    """The certificate that a campaign names, or nominal values; raises `CertificateError`."""
+def certificate_of(store: Store, campaign_id: int) -> Certificate:
+    """The certificate that a campaign began with, or nominal values; raises `NotInStore`, `CertificateError`."""
+    text = store.certificate(campaign_id)
+    return NOMINAL_SRS99 if text is None else parse_certificate(text, f"certificate of campaign {campaign_id}")
+
+
+def check_certificate(campaign: Campaign, settings: Settings = Settings()) -> None:
+    """Raise `CertificateError` where the file that a campaign names is not one, or does not cover the wavelengths."""
     path = campaign.reference.certificate
-    return NOMINAL_SRS99 if path is None else load_certificate(Path(path))
+    certificate = NOMINAL_SRS99 if path is None else parse_certificate(read_certificate(Path(path)), path)
+    certificate.reflectance(np.array([settings.lowest, settings.highest]))

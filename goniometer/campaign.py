@@ -25,13 +25,14 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
 from pydantic_core import ErrorDetails
 
 from goniometer.errors import CampaignError
-from goniometer.geometry import LARGEST_ANGLE
+from goniometer.geometry import LARGEST_ANGLE, Geometry
 
 ANGLE_UNITS = {"deg": 1.0, "°": 1.0, "rad": 180 / math.pi, "mrad": 0.18 / math.pi}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}
@@ -66,6 +67,9 @@ Angle = Annotated[float, BeforeValidator(_angle), Field(allow_inf_nan=False)]
 Duration = Annotated[float, BeforeValidator(_time), Field(allow_inf_nan=False)]
 """Seconds."""
 
+SMALLEST_STEP = 0.05
+"""Degrees below which directions cannot be told apart, and a campaign would have no end."""
+
 
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -85,9 +89,9 @@ class Sample(_Model):
 class AngleSteps(_Model):
     """Evenly spaced angles, both ends included."""
 
-    start: Angle = Field(description="First angle, degrees.")
-    stop: Angle = Field(description="Last angle, degrees.")
-    step: Angle = Field(gt=0, description="Distance of two angles, degrees; must divide the range.")
+    start: Angle = Field(ge=0, le=LARGEST_ANGLE, description="First angle, degrees.")
+    stop: Angle = Field(ge=0, le=LARGEST_ANGLE, description="Last angle, degrees.")
+    step: Angle = Field(ge=SMALLEST_STEP, description="Distance of two angles, degrees; must divide the range.")
 
     @model_validator(mode="after")
     def _divides(self) -> Self:
@@ -144,9 +148,11 @@ class Resolution(_Model):
         description="Largest wanted interpolation error of ln(1 + cos(theta_in) f).",
     )
     coarse_step: Angle = Field(
-        default=10.0, gt=0, le=45, description="Distance of directions in the first pass, degrees."
+        default=10.0, ge=SMALLEST_STEP, le=45, description="Distance of directions in the first pass, degrees."
     )
-    minimum_step: Angle = Field(default=0.5, ge=0.05, description="Directions never lie closer than this, degrees.")
+    minimum_step: Angle = Field(
+        default=0.5, ge=SMALLEST_STEP, description="Directions never lie closer than this, degrees."
+    )
 
     @model_validator(mode="after")
     def _refines(self) -> Self:
@@ -179,7 +185,9 @@ class Reference(_Model):
         default=None,
         description="CSV file of the panel's certificate, relative to the campaign file; none: nominal values.",
     )
-    step: Angle = Field(default=10.0, gt=0, le=45, description="Distance of its reflected directions, degrees.")
+    step: Angle = Field(
+        default=10.0, ge=SMALLEST_STEP, le=45, description="Distance of its reflected directions, degrees."
+    )
     scans: int = Field(
         default=2, ge=1, le=1000, description="Spectra that are averaged at each point of the reference."
     )
@@ -224,6 +232,19 @@ class Campaign(_Model):
             raise ValueError("an angle is listed twice: leave one out")
         return incident
 
+    @field_validator("outgoing")
+    @classmethod
+    def _measurable(cls, outgoing: OutgoingRange, info: ValidationInfo) -> OutgoingRange:
+        incident = info.data.get("incident", ())  # absent where it is at fault itself
+        for angle in incident.angles if isinstance(incident, AngleSteps) else incident:
+            # The blocked directions are one interval, so that both ends speak for what lies between.
+            if Geometry(angle, outgoing.start).blocked and Geometry(angle, outgoing.stop).blocked:
+                raise ValueError(
+                    f"the detector blocks the source in all of {outgoing.start:g} to {outgoing.stop:g} deg at the "
+                    f"incident angle {angle:g} deg: widen the range, or leave this angle out"
+                )
+        return outgoing
+
     @property
     def theta_in(self) -> tuple[float, ...]:
         """Incident angles, degrees, ascending."""
@@ -239,7 +260,7 @@ class Campaign(_Model):
     def hash(self) -> str:
         """SHA-256 of all that decides what is measured, so that nobody resumes under a changed campaign.
 
-        The certificate is left out: it matters to calibration only, which may be repeated with another one.
+        The path of the certificate is left out: the database keeps, and compares, what stands in the file.
         """
         content = self.model_dump(mode="json")
         del content["reference"]["certificate"]
@@ -273,6 +294,12 @@ def load_campaign(path: Path | str) -> Campaign:
         raise CampaignError(f"{path}: the campaign file is not UTF-8 text") from None
     except yaml.YAMLError as error:
         _refuse_yaml(path, error)
+    except RecursionError:
+        raise CampaignError(f"{path}: the campaign file is nested too deeply; a campaign needs four levels") from None
+    except (ValueError, LookupError, AttributeError) as error:  # what the loader lets through of an impossible value
+        raise CampaignError(
+            f"{path}: the campaign file holds a value that is not possible ({error}); write a text in quotes"
+        ) from None
     if not isinstance(content, dict):
         raise CampaignError(f"{path}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
     try:

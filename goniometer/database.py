@@ -1,6 +1,7 @@
 """How the database is opened, locked, read and written, whatever is in it."""
 
 import errno
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,8 +31,12 @@ class Database:
         Raises `StoreError` where it cannot be opened or is not ours, `StoreFull` where there is no room.
         """
         url = _url(where)
-        file = Path(url.database) if url.get_backend_name() == "sqlite" and url.database else None
-        shown = str(file) if file else url.render_as_string(hide_password=True)
+        file = None
+        shown = url.render_as_string(hide_password=True)
+        if url.get_backend_name() == "sqlite" and url.database not in {None, "", ":memory:"}:
+            shown = str(url.database)
+            file = Path(os.path.realpath(shown))  # one file has one lock, whichever link leads to it
+            url = url.set(database=str(file))
         if file and not file.parent.is_dir():
             raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
         engine = create_engine(url)
@@ -132,7 +137,7 @@ def _url(where: Path | str) -> URL:
 def _configure_sqlite(connection: Any, _: object) -> None:
     """Keep what is committed through a power cut, let others read meanwhile, and check references."""
     cursor = connection.cursor()
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000"):
+    for pragma in ("busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 

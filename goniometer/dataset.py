@@ -25,7 +25,8 @@ class Dataset:
     wavelengths: FloatArray
     """[wavelengths] nanometres, ascending: of the detector pixels that were binned, weighted by their light."""
     brdf: FloatArray
-    """[points, wavelengths] 1/sr; NaN where no valid value exists (saturated pixels)."""
+    """[points, wavelengths] 1/sr; NaN where no valid value exists: saturated pixels, and points beyond
+    the reference scan."""
     u_random: FloatArray
     """[points, wavelengths] standard uncertainty from the point's own counts, 1/sr; independent everywhere."""
     u_dark: FloatArray

@@ -10,7 +10,7 @@ GoniometerError
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
 │   └── NotInStore        what was asked for is not there (exit code 2)
-├── ExposureError         no valid exposure within the limits
+├── ReferenceIncomplete   points of the reference scan that failed
 ├── CalibrationError      raw data that cannot be calibrated
 └── RunAborted            the operator ended the run
 
@@ -64,8 +64,8 @@ class NotInStore(StoreError):
     exit_code = 2
 
 
-class ExposureError(GoniometerError):
-    """No valid exposure is possible within the limits."""
+class ReferenceIncomplete(GoniometerError):
+    """Points of the reference scan failed, and every sample needs them."""
 
 
 class CalibrationError(GoniometerError):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from drivers.arrays import CountArray, FloatArray
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Integration
-from goniometer.errors import ExposureError
+from goniometer.errors import CampaignError
 from goniometer.instrument import Instrument
 
 PROBE_FRACTION = 1 / 256
@@ -49,12 +49,12 @@ def ladder(policy: Integration) -> tuple[float, ...]:
 
 
 def check_limits(policy: Integration, instrument: Instrument) -> None:
-    """Raise `ExposureError` where the spectrometer cannot take the times that the campaign asks for."""
+    """Raise `CampaignError` where the spectrometer cannot take the times that the campaign asks for."""
     low, high = instrument.integration_limits
-    if policy.minimum < low or policy.maximum > high:
-        raise ExposureError(
-            f"integration times of {policy.minimum:g} to {policy.maximum:g} s are not possible: "
-            f"this spectrometer takes {low:g} to {high:g} s; change integration.minimum or maximum"
+    if policy.minimum < low or policy.maximum >= high:
+        raise CampaignError(
+            f"Integration times of {policy.minimum:g} to {policy.maximum:g} s are not possible: this spectrometer "
+            f"takes {low:g} s and more, but less than {high:g} s; change integration.minimum or maximum"
         )
 
 

@@ -2,6 +2,8 @@
 
 import io
 import json
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -12,6 +14,7 @@ from sqlalchemy import Row
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
 from goniometer.dataset import Dataset
+from goniometer.errors import StoreError
 from goniometer.geometry import Geometry
 from goniometer.instrument import Constants
 
@@ -153,15 +156,20 @@ def pack_dataset(dataset: Dataset) -> bytes:
 
 
 def to_dataset(row: Row[Any]) -> Dataset:
-    """A row of `tables.datasets`, bit for bit as it was packed."""
-    with np.load(io.BytesIO(row.arrays)) as arrays:
-        return Dataset(
-            sample=row.sample,
-            u_angle=float(arrays["u_angle"]),
-            aperture=float(arrays["aperture"]),
-            lineage=json.loads(row.lineage),
-            **{name: arrays[name] for name in _DATASET_ARRAYS},
-        )
+    """A row of `tables.datasets`, bit for bit as it was packed; raises `StoreError` where it is damaged."""
+    try:
+        with np.load(io.BytesIO(row.arrays)) as arrays:
+            return Dataset(
+                sample=row.sample,
+                u_angle=float(arrays["u_angle"]),
+                aperture=float(arrays["aperture"]),
+                lineage=json.loads(row.lineage),
+                **{name: arrays[name] for name in _DATASET_ARRAYS},
+            )
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+        raise StoreError(
+            f"Dataset {row.id} is damaged in the database ({error}); restore the database from a copy"
+        ) from error
 
 
 def constants_json(constants: Constants) -> str:

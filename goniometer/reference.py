@@ -161,7 +161,7 @@ class Certificate:
         if wavelengths.min() < lowest or wavelengths.max() > highest:
             raise CertificateError(
                 f"Certificate {self.serial_number} covers {lowest:g} to {highest:g} nm, but "
-                f"{wavelengths.min():g} to {wavelengths.max():g} nm was asked for; leave the rest out"
+                f"{wavelengths.min():g} to {wavelengths.max():g} nm is needed; give one that covers these"
             )
         return np.interp(wavelengths, self.wavelengths, self.reflectance_8h)
 
@@ -209,19 +209,23 @@ _COLUMNS = ["wavelength_nm", "reflectance", "standard_uncertainty"]
 _HEADERS = ("serial_number", "calibrated", "valid_until")
 
 
-def load_certificate(path: Path) -> Certificate:
-    """Read a certificate from a CSV file.
+def read_certificate(path: Path) -> str:
+    """The text of a certificate file, unchecked; raises `CertificateError` where it is no readable text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CertificateError(f"{path}: the certificate cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise CertificateError(f"{path}: this is not a text file; a certificate is a CSV file in UTF-8") from error
+
+
+def parse_certificate(text: str, path: str) -> Certificate:
+    """A certificate from the text of a CSV file; `path` names the file in messages.
 
     Its first lines are `# serial_number: ...`, `# calibrated: YYYY-MM-DD` and `# valid_until: YYYY-MM-DD`, in any
     order; then the column names `wavelength_nm,reflectance,standard_uncertainty` and one row per wavelength.
     Raises `CertificateError` with the number of the offending line.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CertificateError(f"{path}: the certificate cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise CertificateError(f"{path}: this is not a text file; a certificate is a CSV file in UTF-8") from error
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     headers = dict(_read_headers(path, lines))
     missing = [name for name in _HEADERS if name not in headers]
@@ -237,7 +241,7 @@ def load_certificate(path: Path) -> Certificate:
     return Certificate(headers["serial_number"][1], calibrated, valid_until, rows[:, 0], rows[:, 1], rows[:, 2])
 
 
-def _read_headers(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[str, tuple[int, str]]]:
+def _read_headers(path: str, lines: list[tuple[int, str]]) -> Iterator[tuple[str, tuple[int, str]]]:
     """Name, line number and value of every known `# name: value` line; other comments are passed over."""
     for number, line in lines:
         if not line.startswith("#"):
@@ -250,14 +254,14 @@ def _read_headers(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[st
         yield name.strip(), (number, value.strip())
 
 
-def _date(path: Path, number: int, text: str) -> datetime.date:
+def _date(path: str, number: int, text: str) -> datetime.date:
     try:
         return datetime.date.fromisoformat(text)
     except ValueError as error:
         raise CertificateError(f"{path}, line {number}: '{text}' is not a day; write it as YYYY-MM-DD") from error
 
 
-def _read_rows(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[float, float, float]]:
+def _read_rows(path: str, lines: list[tuple[int, str]]) -> Iterator[tuple[float, float, float]]:
     """The rows of numbers below the line of column names, each checked."""
     if not lines or [column.strip() for column in lines[0][1].split(",")] != _COLUMNS:
         number = lines[0][0] if lines else 1

@@ -31,7 +31,7 @@ from drivers.arrays import FloatArray
 from drivers.errors import DeviceDisconnected, DeviceNotFound, DriverError
 from goniometer.calibration import Response, band_values, certificate_of, read_raw, response
 from goniometer.campaign import Campaign
-from goniometer.errors import GeometryError, RunAborted, StoreError
+from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.exposure import Brightness, brightest, check_limits, predict, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
@@ -73,17 +73,20 @@ async def run_campaign(
 ) -> int:
     """Run or resume a campaign on an open instrument, and return its id in the database.
 
+    The caller must hold `store.exclusive()`: whatever the database calls running then has lost its process.
     `on_scan_finished` is called once the scan of a sample is complete, and for one that was complete before but
-    has no dataset, so that no fit is lost to a crash in between. Raises `StoreBusy`, `CampaignError` (changed
-    content), `RunAborted` (an operator's wish), and what stopped the campaign: `DriverError`, `StoreFull`, ...
+    has no dataset, so that no fit is lost to a crash in between. Raises `CampaignError` (changed content or
+    certificate, impossible integration times), `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what
+    stopped the campaign: `DriverError`, `StoreFull`, ...
     """
-    with store.exclusive():
-        campaign_id = store.add_campaign(campaign)
-        for scan in store.scans(campaign_id):
-            if scan.outcome != "completed":
-                await run_scan(store, scan.id, instrument, mount, report)
-            if scan.kind == "sample" and not store.datasets(scan.id):
-                on_scan_finished(store.scan(scan.id))
+    store.end_stale_scans()
+    check_limits(campaign.integration, instrument)
+    campaign_id = store.add_campaign(campaign)
+    for scan in store.scans(campaign_id):
+        if scan.outcome != "completed":
+            await run_scan(store, scan.id, instrument, mount, report)
+        if scan.kind == "sample" and not store.datasets(scan.id):
+            on_scan_finished(store.scan(scan.id))
     return campaign_id
 
 
@@ -159,7 +162,6 @@ class _Run:
 
     async def measure(self) -> None:
         """Measure until the plan has no more points."""
-        check_limits(self.campaign.integration, self.instrument)
         self.store.save_constants(self.scan.id, await self.instrument.constants())
         self._recall()
         failures = 0
@@ -173,6 +175,21 @@ class _Run:
                 if failure and failures >= FAILURES_IN_A_ROW:
                     raise failure
                 self.tell("running", point.geometry)
+        await self._obey()  # what was asked for during the last point
+        if self.scan.kind == "reference":
+            self._check_whole()
+
+    def _check_whole(self) -> None:
+        """Raise `ReferenceIncomplete` where a point failed: the next run tries it again, before any sample."""
+        points = self.store.points(self.scan.id)
+        failed = [p for p in points if p.status == "failed"]
+        if failed:
+            first = failed[0]
+            raise ReferenceIncomplete(
+                f"{len(failed)} of the {len(points)} points of the reference scan failed, the first at theta_in = "
+                f"{first.geometry.theta_in:g}, theta_out = {first.geometry.theta_out:g} deg "
+                f"({first.reason.rstrip('.')}); find the cause and run the campaign again to measure them"
+            )
 
     def tell(self, phase: Phase, geometry: Geometry | None = None) -> None:
         """Report a snapshot."""
@@ -234,7 +251,9 @@ class _Run:
             return visited
         if self.response is None:
             reference = self.store.reference_scan(self.scan.id)
-            self.response = response(read_raw(self.store, reference.id), certificate_of(self.campaign))
+            self.response = response(
+                read_raw(self.store, reference.id), certificate_of(self.store, self.scan.campaign_id)
+            )
         values, noise = band_values(raw, self.response)
         return [Measured(g, v, u) for g, v, u in zip(raw.planned, values, noise, strict=True)] + visited
 
@@ -284,7 +303,9 @@ class _Run:
                 raise
             except DriverError as error:
                 fault = error
-                await self.instrument.safe()
+                # The next attempt meets again whatever is wrong now; what is told is why this one failed.
+                with contextlib.suppress(DriverError):
+                    await self.instrument.safe()
             else:
                 return None
         self.store.give_up_point(point.id, "failed", str(fault))

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import func, insert, select, update
+from sqlalchemy import case, delete, func, insert, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -39,6 +39,9 @@ from goniometer.records import (
     to_point,
     to_scan,
 )
+from goniometer.reference import read_certificate
+
+_STALE = "Its process ended before the scan did; run the campaign again to go on."
 
 
 def software_version() -> str:
@@ -52,25 +55,35 @@ class Store(Database):
     # Campaigns and scans
 
     def add_campaign(self, campaign: Campaign) -> int:
-        """Id of the campaign; it is written, with its scans, unless it is there already.
+        """Id of the campaign; it is written, with its scans and its certificate, unless it is there already.
 
-        Raises `CampaignError` when a campaign of this name but with other content is there.
+        A campaign of this name that has no point yet gives way to a changed one. Raises `CampaignError` when one
+        that has begun was started with other content or another certificate, `CertificateError` when the
+        certificate cannot be read.
         """
+        path = campaign.reference.certificate
+        certificate = None if path is None else read_certificate(Path(path))
         with self._writing() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
-                if known.hash != campaign.hash:
+                if known.hash == campaign.hash and known.certificate == certificate:
+                    return int(known.id)
+                mine = tables.scans.c.campaign_id == known.id
+                if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
+                    changed = "other content" if known.hash != campaign.hash else "another certificate"
                     raise CampaignError(
-                        f'The campaign "{campaign.name}" in {self._where} was started with other content; '
+                        f'The campaign "{campaign.name}" in {self._where} was started with {changed}; '
                         f"undo the change to resume it, or give the changed campaign another name"
                     )
-                return int(known.id)
+                connection.execute(delete(tables.scans).where(mine))
+                connection.execute(delete(tables.campaigns).where(tables.campaigns.c.id == known.id))
             campaign_id = insert_row(
                 connection,
                 tables.campaigns,
                 name=campaign.name,
                 json=campaign.canonical_json,
                 hash=campaign.hash,
+                certificate=certificate,
                 created=now(),
             )
             things = [("reference", "reference", "spectralon")]
@@ -92,6 +105,12 @@ class Store(Database):
         """The campaign as it was started; raises `NotInStore`."""
         row = self._one(select(tables.campaigns).where(tables.campaigns.c.id == campaign_id), f"campaign {campaign_id}")
         return Campaign.model_validate_json(row.json)
+
+    def certificate(self, campaign_id: int) -> str | None:
+        """Text of the certificate file that a campaign was started with, None without one; raises `NotInStore`."""
+        query = select(tables.campaigns.c.certificate).where(tables.campaigns.c.id == campaign_id)
+        text: str | None = self._one(query, f"campaign {campaign_id}").certificate
+        return text
 
     def campaigns(self) -> dict[int, str]:
         """Name of every campaign by its id, oldest first."""
@@ -134,25 +153,35 @@ class Store(Database):
                 .values(phase="finished", outcome=outcome, reason=reason, command=None, finished=now())
             )
 
+    def end_stale_scans(self) -> None:
+        """Note that scans whose process was killed have ended; only for who holds `exclusive`."""
+        for scan in self.scans():
+            if scan.phase not in {"idle", "finished"}:
+                self.finish_scan(scan.id, "aborted", _STALE)
+
     def request(self, scan_id: int, command: Command) -> None:
         """Ask the process that runs a scan to pause (after the point in hand), to resume, or to abort (at once).
 
-        Raises `StoreError` where the scan is not being run.
+        Raises `NotInStore` where the scan is not being run.
         """
-        scan = self.scan(scan_id)
-        if scan.phase in {"idle", "finished"}:
-            raise StoreError(f"Scan {scan_id} is {scan.phase}, so it cannot {command}; name a scan that is running")
         if not self.in_use():
-            raise StoreError(
-                f"Scan {scan_id} cannot {command}, because the process that ran it has ended; "
-                f"run its campaign again to go on where it stood"
+            raise NotInStore(
+                f"Scan {scan_id} cannot {command}, because no process runs it; run its campaign to go on where it stood"
             )
-        phase: Phase = scan.phase
-        if command == "abort":
-            phase = "aborting"
-        elif command == "pause" and phase == "running":
-            phase = "pausing"
-        self._update(tables.scans, scan_id, command=command, phase=phase)
+        here = tables.scans.c
+        phase = {
+            "pause": case((here.phase == "running", "pausing"), else_=here.phase),
+            "resume": here.phase,
+            "abort": "aborting",
+        }[command]
+        with self._writing() as connection:
+            asked = connection.execute(
+                update(tables.scans)
+                .where(here.id == scan_id, here.phase.not_in(("idle", "finished")))
+                .values(command=command, phase=phase)
+            )
+        if asked.rowcount == 0:
+            raise NotInStore(f"Scan {scan_id} is not running, so it cannot {command}; name a scan that is running")
 
     def command(self, scan_id: int) -> Command | None:
         """What was asked for and not taken up yet."""
@@ -169,20 +198,20 @@ class Store(Database):
     def save_constants(self, scan_id: int, constants: Constants) -> None:
         """Write what calibration needs to know about the devices.
 
-        Raises `StoreError` when the scan began with another spectrometer or other settings: raw data must not be
-        mixed. A stage may be exchanged, and need not know who it is.
+        Raises `StoreError` when the scan, or the reference scan of its campaign, began with another spectrometer or
+        other settings: raw data must not be mixed. A stage may be exchanged, and need not know who it is.
         """
         known = self._constants_json(scan_id)
-        if known is None:
-            self._update(tables.scans, scan_id, constants=constants_json(constants))
-            return
-        before, after = json.loads(known), json.loads(constants_json(constants))
+        begun = known or self._constants_json(self.reference_scan(scan_id).id) or constants_json(constants)
+        before, after = json.loads(begun), json.loads(constants_json(constants))
         changed = [name.replace("_", " ") for name in after if name != "stages" and after[name] != before.get(name)]
         if changed:
             raise StoreError(
-                f"Scan {scan_id} began with another {' and '.join(changed)}; "
+                f"The campaign of scan {scan_id} began with another {' and '.join(changed)}; "
                 f"connect and set what it began with, or start a campaign of another name"
             )
+        if known is None:
+            self._update(tables.scans, scan_id, constants=constants_json(constants))
 
     def constants(self, scan_id: int) -> Constants:
         """What calibration needs to know about the devices of a scan; raises `NotInStore`."""
@@ -227,14 +256,17 @@ class Store(Database):
         self._update(tables.points, point_id, status="running", attempts=tables.points.c.attempts + 1)
 
     def finish_point(self, point: Point, read_back: Geometry, spectra: Sequence[Spectrum], seconds: float) -> None:
-        """Write a measured point together with its raw exposures."""
+        """Write a measured point together with its raw exposures.
+
+        Raises `StoreError`, and writes nothing, where the point is not being measured.
+        """
         with self._writing() as connection:
             connection.execute(
                 insert(tables.exposures), [exposure_row(point.scan_id, point.id, "light", s) for s in spectra]
             )
-            connection.execute(
+            done = connection.execute(
                 update(tables.points)
-                .where(tables.points.c.id == point.id)
+                .where(tables.points.c.id == point.id, tables.points.c.status == "running")
                 .values(
                     status="done",
                     read_theta_in=read_back.theta_in,
@@ -244,6 +276,8 @@ class Store(Database):
                     finished=now(),
                 )
             )
+            if done.rowcount == 0:
+                raise StoreError(f"Point {point.id} in {self._where} is not being measured; let one process run it")
 
     def give_up_point(self, point_id: int, status: Literal["failed", "skipped"], reason: str) -> None:
         """Note that a point will not be measured, and why."""

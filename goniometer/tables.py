@@ -29,7 +29,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 metadata = MetaData()
 
@@ -47,6 +47,7 @@ campaigns = Table(
     Column("name", String, nullable=False, unique=True),
     Column("json", Text, nullable=False),
     Column("hash", String, nullable=False),
+    Column("certificate", Text),
     Column("created", String, nullable=False),
 )
 
@@ -149,23 +150,31 @@ IMMUTABLE = (exposures, datasets, fits, exports)
 def prepare(engine: Engine, where: str) -> None:
     """Create the tables in an empty database, or check that they are ours; `where` names it in messages.
 
-    Raises `StoreError` for another program's database or another version of this one's tables.
+    All tables come into being in one transaction, which another process that has the same wish waits for. Raises
+    `StoreError` for another program's database or another version of this one's tables.
     """
-    with engine.begin() as connection:
+    with engine.connect() as connection:
         names = inspect(connection).get_table_names()
-        if not names:
-            _create(connection)
-            return
-        if about.name not in names:
-            raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
-        row = connection.execute(select(about)).first()
-        if row is None or row.application != APPLICATION:
-            raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
-        if row.schema_version != SCHEMA_VERSION:
-            raise StoreError(
-                f"{where} has tables of version {row.schema_version}, but this program needs version "
-                f"{SCHEMA_VERSION}; use the program that wrote it, or name a new file"
-            )
+    if not names:
+        # Python's driver opens no transaction before CREATE TABLE, so each table would stay on its own.
+        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if engine.dialect.name == "sqlite" else "BEGIN")
+            if not inspect(connection).get_table_names():  # another process may have been faster
+                _create(connection)
+            connection.exec_driver_sql("COMMIT")  # without it, closing the connection rolls back
+    with engine.connect() as connection:
+        _check(connection, where)
+
+
+def _check(connection: Connection, where: str) -> None:
+    row = connection.execute(select(about)).first() if inspect(connection).has_table(about.name) else None
+    if row is None or row.application != APPLICATION:
+        raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
+    if row.schema_version != SCHEMA_VERSION:
+        raise StoreError(
+            f"{where} has tables of version {row.schema_version}, but this program needs version "
+            f"{SCHEMA_VERSION}; use the program that wrote it, or name a new file"
+        )
 
 
 def _create(connection: Connection) -> None:

@@ -15,6 +15,7 @@ CAMPAIGNS = {
     f"name: t\n{SAMPLE}integration: {{maximum: 3 deg}}\n": ["integration.maximum", "deg", "ms"],
     "name: t\nsamples: [{name: A, material: sample-9}]\n": ["sample-9", "sample-1", "mirror"],
     f"name: t\n{SAMPLE}reference: {{certificate: panel.csv}}\n": ["panel.csv"],
+    "name: t\nsamples: [{name: A+, material: sample-1}, {name: A-, material: sample-2}]\n": ["A+", "A-", "folder"],
     "name: [t\n": ["not valid YAML", "line"],
     "": ["mapping"],
 }
@@ -76,6 +77,7 @@ def test_a_missing_device_is_named_in_one_line(cli: Any, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
+        (INSTRUMENT.replace("tcp://127.0.0.1:9", "tcp://h:99999"), ["detector stage", "tcp://host:port"]),
         (INSTRUMENT.replace("smc100", "smc1000"), ["sample_stage.driver", "smc100"]),
         (INSTRUMENT.replace("url", "port", 1), ["sample_stage", "url"]),
         (INSTRUMENT.replace("tcp://127.0.0.1:9", "COM3"), ["detector stage", "tcp://host:port"]),

@@ -118,3 +118,28 @@ def test_pause_resume_and_abort_reach_a_run_in_another_process_and_nothing_is_lo
     assert "Nothing is running" in refused.stderr
     with running(folder, "long.yaml") as process:
         wait_for(lambda: count(folder, DONE) > kept)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_in_one_line_with_its_scan_put_down_as_aborted(
+    folder: Path, number: signal.Signals
+) -> None:
+    with running(folder, "long.yaml") as process:
+        wait_for(lambda: count(folder, DONE) > 1)
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == (130 if number == signal.SIGINT else 143)
+    assert output == ""
+    assert errors.strip().splitlines()[-1].startswith("goniometer: Stopped; run the same command again")
+    assert "Traceback" not in errors
+    assert count(folder, "SELECT count(*) FROM scans WHERE outcome = 'aborted'") == 1
+
+
+def test_a_killed_run_is_called_interrupted(cli: Any, folder: Path) -> None:
+    with running(folder, "long.yaml") as process:
+        wait_for(lambda: count(folder, DONE) > 1)
+        process.kill()
+        process.wait()
+    told = cli("status", cwd=folder).stdout
+    assert "Long: reference: interrupted" in told
+    assert cli("pause", cwd=folder).returncode == 2

@@ -3,6 +3,7 @@
 import asyncio
 import io
 import os
+import pty
 import sys
 import time
 
@@ -18,11 +19,12 @@ SCAN = Scan(1, 1, 1, "sample", "Sample 1", "sample-1", "running", None, "", None
 def test_a_scan_begins_when_enter_is_pressed_and_not_before(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    reading, writing = os.pipe()
+    writing, reading = pty.openpty()
     with os.fdopen(reading) as keyboard:
         monkeypatch.setattr(sys, "stdin", keyboard)
 
         async def scenario() -> None:
+            os.write(writing, b"\n")  # typed before the question: no answer to it
             asked = asyncio.ensure_future(ask_to_mount(SCAN))
             await asyncio.sleep(0.2)
             assert not asked.done()
@@ -34,14 +36,17 @@ def test_a_scan_begins_when_enter_is_pressed_and_not_before(
     assert "Sample 1" in capsys.readouterr().err
 
 
-def test_without_a_terminal_nobody_confirms_and_nothing_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+@pytest.mark.parametrize("stdin", [None, io.StringIO("\n\n\n")])
+def test_without_a_terminal_nobody_confirms_and_nothing_is_measured(
+    monkeypatch: pytest.MonkeyPatch, stdin: io.StringIO | None
+) -> None:
+    monkeypatch.setattr(sys, "stdin", stdin)
     with pytest.raises(RunAborted, match="Sample 1 is mounted"):
         asyncio.run(ask_to_mount(SCAN))
 
 
 def test_an_abort_does_not_wait_for_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    reading, writing = os.pipe()
+    writing, reading = pty.openpty()
     with os.fdopen(reading) as keyboard:
         monkeypatch.setattr(sys, "stdin", keyboard)
 

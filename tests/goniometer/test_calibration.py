@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniometer.calibration import BANDS, RawScan, Settings, band_values, calibrate, response
-from goniometer.errors import CalibrationError
+from goniometer.calibration import BANDS, RawScan, Settings, band_values, calibrate, check_certificate, response
+from goniometer.campaign import Campaign, Reference, Sample
+from goniometer.errors import CalibrationError, CertificateError
 from goniometer.geometry import Geometry
 from goniometer.instrument import Constants
 from goniometer.reference import NOMINAL_SRS99, reference_brdf
@@ -163,6 +164,45 @@ def test_the_plan_sees_cos_f_in_its_bands():
     truth = cosine * np.stack([np.interp(centres, WAVELENGTHS, row) for row in sample_brdf(SAMPLE_ANGLES)])
     assert values == pytest.approx(truth, rel=0.02)
     assert np.all(noise < 0.01 * values)
+
+
+def test_nothing_is_invented_beyond_the_outermost_reference_point():
+    random = np.random.default_rng(11)
+    angles = [Geometry(50.0, o) for o in (-35.15, -35.05, 20.0, 85.05, 85.15)]
+    sample = scan(angles, sample_brdf(angles), 100.0, random)
+    reference = scan(REFERENCE_ANGLES, panel_brdf(REFERENCE_ANGLES), 100.0, random)
+    dataset = calibrate(sample, reference, NOMINAL_SRS99)
+    for array in (dataset.brdf, dataset.u_random, dataset.u_dark, dataset.u_reference, dataset.u_reference_dark):
+        known = np.isfinite(array)
+        assert known.all(axis=1).tolist() == known.any(axis=1).tolist() == [False, True, True, True, False]
+    values, _ = band_values(sample, response(reference, NOMINAL_SRS99))
+    assert np.isnan(values).all(axis=1).tolist() == [True, False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("400,0.985,0.004\n1000,0.988,0.003\n", "covers 400 to 1000 nm, but 380 to 995 nm"),
+        ("350,0.985,0.004\n990,0.988,0.003\n", "covers 350 to 990 nm, but 380 to 995 nm"),
+        ("350,98.5,0.4\n", r"panel\.csv, line 6: at least two rows"),
+        (None, r"panel\.csv: the certificate cannot be read"),
+        ("350,0.985,0.004\n1000,0.988,0.003\n", None),
+    ],
+)
+def test_a_certificate_that_will_not_do_is_refused_before_hours_of_measuring(tmp_path, content, message):
+    path = tmp_path / "panel.csv"
+    if content is not None:
+        path.write_text(
+            "# serial_number: P1\n# calibrated: 2024-03-01\n# valid_until: 2025-03-01\n\n"
+            "wavelength_nm,reflectance,standard_uncertainty\n" + content
+        )
+    campaign = Campaign(name="a", samples=(Sample(name="s", material="m"),), reference=Reference(certificate=str(path)))
+    if message is None:
+        check_certificate(campaign)
+    else:
+        with pytest.raises(CertificateError, match=message) as caught:
+            check_certificate(campaign)
+        assert "\n" not in str(caught.value)
 
 
 def test_a_missing_incident_angle_of_the_reference_is_named():

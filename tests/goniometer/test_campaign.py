@@ -46,6 +46,14 @@ def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
         (SMALLEST + "incident: [-10]", ["incident", "-10 deg", "between 0 and 85"]),
         (SMALLEST + "incident: [10, 10]", ["incident", "twice"]),
         (SMALLEST + "incident: {start: 0, stop: 80, step: 7}", ["incident", "7 deg", "does not divide"]),
+        (SMALLEST + "incident: {start: 0, stop: 80, step: 1.0e-9}", ["incident.step", "0.05"]),
+        (SMALLEST + "incident: {start: 0, stop: 1.0e+300, step: 10}", ["incident.stop", "85"]),
+        (SMALLEST + "resolution: {coarse_step: 1.0e-9, minimum_step: 0.05}", ["resolution.coarse_step", "0.05"]),
+        (SMALLEST + "reference: {step: 1.0e-9}", ["reference.step", "0.05"]),
+        (SMALLEST + "incident: [0, 20]\noutgoing: {start: -24, stop: -16}", ["outgoing", "20 deg", "blocks"]),
+        ("name: 2020-13-45\nsamples: [{name: s, material: m}]", ["month", "quotes"]),
+        (SMALLEST + "seed: " + "9" * 5000, ["not possible", "digits"]),
+        ("name: " + "[" * 5000 + "]" * 5000, ["nested too deeply"]),
         (SMALLEST + "incident: {start: 0, stop: 80, stepp: 7}", ["incident.stepp", 'did you mean "step"']),
         (SMALLEST + "incident: everything", ["incident", "a list of angles"]),
         (SMALLEST + "outgoing: {start: -100}", ["outgoing.start", "-100", "-85"]),
@@ -91,10 +99,14 @@ def test_a_changed_campaign_has_another_hash_and_a_reworded_one_has_not(tmp_path
     assert load(tmp_path, SMALLEST + "resolution: {tolerance: 0.03}").hash != campaign.hash
 
 
-def test_another_certificate_does_not_forbid_a_resume(tmp_path):
+def test_a_certificate_that_moved_to_another_folder_does_not_forbid_a_resume(tmp_path):
     with_certificate = load(tmp_path, SMALLEST + "reference: {certificate: panel.csv}")
     assert with_certificate.reference.certificate == str(tmp_path / "panel.csv")
     assert with_certificate.hash == load(tmp_path, SMALLEST).hash
+
+
+def test_a_range_that_touches_the_blocked_sector_is_measured_at_its_edge(tmp_path):
+    assert load(tmp_path, SMALLEST + "incident: [20]\noutgoing: {start: -24, stop: -15}").outgoing.stop == -15
 
 
 def test_canonical_json_reloads_to_the_same_campaign(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from drivers.clock import WallClock
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Integration
-from goniometer.errors import ExposureError
+from goniometer.errors import CampaignError
 from goniometer.exposure import Brightness, check_limits, choose, ladder, predict, take
 from goniometer.instrument import Instrument
 
@@ -116,5 +116,8 @@ def test_times_that_the_spectrometer_cannot_take_are_refused_before_the_scan():
     detector = Detector(1.0)
     instrument = Instrument(None, None, detector, detector, WallClock(), gain=5.0)
     check_limits(POLICY, instrument)
-    with pytest.raises(ExposureError, match=r"0\.001 to 30 s"):
+    check_limits(Integration(maximum=1599.0), instrument)
+    with pytest.raises(CampaignError, match=r"0\.001 to 30 s"):
         check_limits(Integration(minimum=0.001), instrument)
+    with pytest.raises(CampaignError, match=r"less than 1600 s"):
+        check_limits(Integration(maximum=1600.0), instrument)  # the driver takes everything below, and not this

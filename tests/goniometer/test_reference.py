@@ -10,7 +10,8 @@ from goniometer.errors import CertificateError, GeometryError
 from goniometer.reference import (
     NOMINAL_SRS99,
     brf_ratio,
-    load_certificate,
+    parse_certificate,
+    read_certificate,
     reference_brdf,
     reference_relative_uncertainty,
     spectralon_brf_ratio,
@@ -96,7 +97,7 @@ def test_directions_below_the_horizon_and_uncertified_wavelengths_are_refused() 
 def test_a_laboratorys_own_certificate_replaces_the_nominal_one(tmp_path: Path) -> None:
     path = tmp_path / "panel.csv"
     path.write_text(GOOD, encoding="utf-8")
-    certificate = load_certificate(path)
+    certificate = parse_certificate(read_certificate(path), str(path))
     assert certificate.serial_number == "SRS-99-010-0001"
     assert certificate.calibrated == datetime.date(2024, 3, 1)
     assert certificate.valid_until == datetime.date(2025, 3, 1)
@@ -128,18 +129,18 @@ def test_a_typing_error_in_a_certificate_is_named_with_its_line(
     assert old in GOOD
     path.write_text(GOOD.replace(old, new), encoding="utf-8")
     with pytest.raises(CertificateError, match=message):
-        load_certificate(path)
+        parse_certificate(read_certificate(path), str(path))
 
 
 def test_a_file_that_is_missing_empty_or_no_text_is_refused_in_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(CertificateError, match=r"nowhere\.csv: the certificate cannot be read"):
-        load_certificate(tmp_path / "nowhere.csv")
+        read_certificate(tmp_path / "nowhere.csv")
     (tmp_path / "empty.csv").write_text("", encoding="utf-8")
     with pytest.raises(CertificateError, match="is missing"):
-        load_certificate(tmp_path / "empty.csv")
+        parse_certificate("", "empty.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(CertificateError, match="not a text file"):
-        load_certificate(tmp_path / "binary.csv")
+        read_certificate(tmp_path / "binary.csv")
 
 
 def test_source_and_detector_may_change_places_within_the_stated_uncertainty() -> None:

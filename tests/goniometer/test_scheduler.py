@@ -25,7 +25,7 @@ from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
 from goniometer.calibration import calibrate_scan, read_raw
 from goniometer.campaign import Campaign, Integration, Resolution, Sample
-from goniometer.errors import CampaignError, ExposureError, RunAborted, StoreBusy, StoreError
+from goniometer.errors import CampaignError, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.instrument import Instrument
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
@@ -72,7 +72,8 @@ async def run(store, campaign=CAMPAIGN, report=lambda _: None, finished=lambda _
     async with bench() as (instrument, mount, _):
         if change is not None:
             change(instrument)
-        await run_campaign(store, campaign, instrument, mount, report, finished)
+        with store.exclusive():
+            await run_campaign(store, campaign, instrument, mount, report, finished)
 
 
 def content(store):
@@ -225,9 +226,33 @@ def test_pause_resume_and_abort_work_from_another_process(store, tmp_path):
     other.close()
 
 
-def test_two_runs_on_one_database_do_not_mix(store, tmp_path):
-    with Store.open(tmp_path / "bench.db").exclusive(), pytest.raises(StoreBusy):
-        asyncio.run(run(store))
+def test_a_pause_asked_for_during_the_last_point_is_obeyed(store, tmp_path):
+    other = Store.open(tmp_path / "bench.db")
+    phases = []
+
+    def report(progress):
+        phases.append(progress.phase)
+        if progress.phase == "running" and progress.done == progress.expected:
+            other.request(progress.scan_id, "pause")
+        elif progress.phase == "paused":
+            other.request(progress.scan_id, "abort")
+
+    with pytest.raises(RunAborted):
+        asyncio.run(run(store, report=report))
+    assert phases[-2:] == ["paused", "finished"]
+    reference, sample = store.scans()
+    assert {p.status for p in store.points(reference.id)} == {"done"}
+    assert sample.phase == "idle"
+    other.close()
+
+
+def test_a_run_ends_what_a_killed_run_of_another_campaign_left_running(store):
+    other = store.add_campaign(CAMPAIGN.model_copy(update={"name": "Killed"}))
+    stale = store.scans(other)[0].id
+    store.set_phase(stale, "running")
+    with pytest.raises(DeviceDisconnected):
+        asyncio.run(run(store, change=failing(DeviceDisconnected("gone"), {0})))
+    assert (store.scan(stale).phase, store.scan(stale).outcome) == ("finished", "aborted")
 
 
 def test_a_changed_campaign_does_not_go_on_under_the_old_name(undisturbed):
@@ -236,12 +261,11 @@ def test_a_changed_campaign_does_not_go_on_under_the_old_name(undisturbed):
         asyncio.run(run(undisturbed[0], changed))
 
 
-def test_times_that_the_device_cannot_take_end_the_scan_before_anything_is_exposed(store):
+def test_times_that_the_device_cannot_take_are_refused_before_anything_is_mounted_or_written(store):
     hasty = CAMPAIGN.model_copy(update={"integration": Integration(minimum=0.001)})
-    with pytest.raises(ExposureError, match=r"integration\.minimum"):
+    with pytest.raises(CampaignError, match=r"integration\.minimum"):
         asyncio.run(run(store, hasty))
-    assert store.exposures(store.scans()[0].id) == []
-    assert store.scans()[0].outcome == "failed"
+    assert store.campaigns() == {}
 
 
 def failing(error, calls):
@@ -269,26 +293,67 @@ def test_a_passing_fault_costs_an_attempt_and_nothing_else(undisturbed, store):
     assert sum(a > 1 for a in attempts) >= 2
 
 
-def test_a_point_that_always_fails_is_given_up_with_its_reason_and_the_rest_is_measured(store):
-    reference = store.scans(store.add_campaign(CAMPAIGN))[0].id
+def jammed_at(theta_out, message="detector stage: it did not arrive within 20 s."):
+    """A change of the instrument: it cannot go to this reflected angle."""
 
     def change(instrument):
         goto = instrument.goto
 
         async def jammed(geometry):
-            if geometry.theta_out in (30.0, 35.0):
-                raise DeviceTimeout("detector stage: it did not arrive within 20 s.")
+            if geometry.theta_out == theta_out:
+                raise DeviceTimeout(message)
+            return await goto(geometry)
+
+        instrument.goto = jammed
+
+    return change
+
+
+def test_a_point_that_always_fails_is_given_up_with_its_reason_and_the_rest_is_measured(store):
+    asyncio.run(run(store, change=jammed_at(30.0)))
+    scan = store.scans()[1]
+    failed = [p for p in store.points(scan.id) if p.status == "failed"]
+    assert [(p.geometry.theta_out, p.attempts) for p in failed] == [(30.0, 3)]
+    assert "did not arrive" in failed[0].reason
+    assert scan.outcome == "completed"
+    assert len(store.points(scan.id)) > 10
+
+
+def test_a_fault_of_making_safe_does_not_cost_the_other_attempts_nor_hide_why_the_point_failed(store):
+    def change(instrument):
+        jammed_at(30.0)(instrument)
+
+        async def unsafe():
+            raise DeviceTimeout("QE Pro: the shutter did not answer.")
+
+        goto, safe = instrument.goto, instrument.safe
+
+        async def jammed(geometry):
+            instrument.safe = unsafe if geometry.theta_out == 30.0 else safe
             return await goto(geometry)
 
         instrument.goto = jammed
 
     asyncio.run(run(store, change=change))
-    for scan, jam in zip(store.scans(), (35.0, 30.0), strict=True):
-        failed = [p for p in store.points(scan.id) if p.status == "failed"]
-        assert [(p.geometry.theta_out, p.attempts) for p in failed] == [(jam, 3)]
-        assert "did not arrive" in failed[0].reason
-        assert scan.outcome == "completed"
-    assert len(store.points(reference)) > 10
+    (failed,) = [p for p in store.points(store.scans()[1].id) if p.status == "failed"]
+    assert (failed.attempts, "did not arrive" in failed.reason) == (3, True)
+
+
+def test_a_reference_with_a_hole_is_not_used_but_completed_by_the_next_run(undisturbed, store):
+    with pytest.raises(ReferenceIncomplete, match=r"1 of the \d+ points .* theta_out = 35 deg .*did not arrive"):
+        asyncio.run(run(store, change=jammed_at(35.0)))
+    reference, sample = store.scans()
+    assert (reference.outcome, sample.phase) == ("failed", "idle")
+    assert reference.reason.startswith("1 of the ")
+    assert [(p.geometry.theta_out, p.attempts) for p in store.points(reference.id) if p.status == "failed"] == [
+        (35.0, 3)
+    ]
+    asyncio.run(run(store))
+    assert [s.outcome for s in store.scans()] == ["completed", "completed"]
+    again = [p for p in store.points(reference.id) if p.geometry.theta_out == 35.0]
+    assert [(p.status, p.attempts, p.reason) for p in again] == [("done", 4, "")]
+    planned = [p.geometry for p in store.points(reference.id)]
+    assert planned == [p.geometry for p in undisturbed[0].points(undisturbed[0].scans()[0].id)]
 
 
 def test_an_unplugged_device_fails_the_scan_at_once_and_the_run_goes_on_after_it_is_back(undisturbed, store):

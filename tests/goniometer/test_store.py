@@ -11,12 +11,13 @@ import pytest
 from sqlalchemy import Engine, event
 
 from drivers.interfaces import Spectrum
-from goniometer.calibration import read_raw
-from goniometer.campaign import Campaign, Sample
+from goniometer.calibration import certificate_of, read_raw
+from goniometer.campaign import Campaign, Reference, Sample
 from goniometer.dataset import Dataset
 from goniometer.errors import CampaignError, NotInStore, StoreBusy, StoreError, StoreFull
 from goniometer.geometry import Geometry
 from goniometer.instrument import Constants
+from goniometer.reference import NOMINAL_SRS99
 from goniometer.store import Store
 
 CAMPAIGN = Campaign(
@@ -88,10 +89,52 @@ def test_a_campaign_becomes_a_reference_scan_and_one_scan_a_sample(store):
 
 def test_a_resume_with_a_changed_campaign_is_refused_in_one_line(store):
     campaign_id = store.add_campaign(CAMPAIGN)
+    first_point(store)
     assert store.add_campaign(CAMPAIGN) == campaign_id
     with pytest.raises(CampaignError, match=r'"First light".*other content') as caught:
         store.add_campaign(CAMPAIGN.model_copy(update={"seed": 1}))
     assert "\n" not in str(caught.value)
+
+
+def test_a_campaign_that_has_measured_nothing_gives_way_to_its_correction(store):
+    other_id = store.add_campaign(CAMPAIGN.model_copy(update={"name": "Other"}))
+    store.add_campaign(CAMPAIGN)
+    corrected = CAMPAIGN.model_copy(update={"samples": CAMPAIGN.samples[:1]})
+    campaign_id = store.add_campaign(corrected)
+    assert store.campaign(campaign_id) == corrected
+    assert [s.sample for s in store.scans(campaign_id)] == ["reference", "Rough"]
+    assert sorted(store.campaigns().values()) == ["First light", "Other"]
+    assert len(store.scans(other_id)) == 3
+
+
+def certified(tmp_path, reflectance):
+    """`CAMPAIGN` with a certificate of this reflectance."""
+    path = tmp_path / "panel.csv"
+    path.write_text(
+        "# serial_number: P1\n# calibrated: 2024-03-01\n# valid_until: 2025-03-01\n"
+        f"wavelength_nm,reflectance,standard_uncertainty\n300,{reflectance},0.004\n1000,{reflectance},0.004\n"
+    )
+    return CAMPAIGN.model_copy(update={"reference": Reference(certificate=str(path))})
+
+
+def test_a_campaign_keeps_the_certificate_that_it_began_with_wherever_the_file_goes(store, tmp_path):
+    campaign_id = store.add_campaign(certified(tmp_path, 0.98))
+    (tmp_path / "panel.csv").unlink()
+    certificate = certificate_of(store, campaign_id)
+    assert (certificate.serial_number, certificate.reflectance_8h.tolist()) == ("P1", [0.98, 0.98])
+    assert certificate_of(store, store.add_campaign(CAMPAIGN.model_copy(update={"name": "b"}))) == NOMINAL_SRS99
+
+
+def test_a_resume_with_another_certificate_is_refused_in_one_line_and_not_silently_ignored(store, tmp_path):
+    begun = certified(tmp_path, 0.98)
+    campaign_id = store.add_campaign(begun)
+    store.add_points(store.scans(campaign_id)[0].id, [Geometry(10.0, -30.0)])
+    assert store.add_campaign(begun) == campaign_id
+    for changed in (certified(tmp_path, 0.97), CAMPAIGN):
+        with pytest.raises(CampaignError, match=r"another certificate; .* another name") as caught:
+            store.add_campaign(changed)
+        assert "\n" not in str(caught.value)
+    assert certificate_of(store, campaign_id).reflectance_8h[0] == 0.98
 
 
 def test_raw_counts_come_back_bit_for_bit(tmp_path):
@@ -120,6 +163,7 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
 
 def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, tmp_path):
     scan_id, point = first_point(store)
+    store.start_point(point.id)
     store.finish_point(point, point.geometry, [spectrum()], 1.0)
     dataset_id = store.add_dataset(scan_id, dataset())
     store.add_fit(dataset_id, "global", "{}")
@@ -174,19 +218,81 @@ def test_another_spectrometer_in_the_middle_of_a_scan_is_refused_and_another_sta
         store.save_constants(scan_id, replace(CONSTANTS, gain=1.0, wavelengths=CONSTANTS.wavelengths + 1e-12))
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"spectrometer": "QE Pro QEP00002"}, "another spectrometer"),
+        ({"nonlinearity": np.array([1.0])}, "another nonlinearity"),
+        ({"u_angle": 0.1, "aperture": 2.0}, "another aperture and u angle"),
+    ],
+)
+def test_a_sample_is_not_measured_with_another_bench_than_the_reference(store, change, words):
+    reference, sample, _ = (scan.id for scan in store.scans(store.add_campaign(CAMPAIGN)))
+    store.save_constants(reference, CONSTANTS)
+    with pytest.raises(StoreError, match=words) as caught:
+        store.save_constants(sample, replace(CONSTANTS, **change))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(NotInStore):
+        store.constants(sample)
+    store.save_constants(sample, replace(CONSTANTS, stages={"sample stage": "another"}))
+    assert store.constants(sample).stages == {"sample stage": "another"}
+
+
 def test_another_process_can_ask_for_a_pause_but_only_of_a_running_scan(store, tmp_path):
     scan_id, _ = first_point(store)
     other = Store.open(tmp_path / "bench.db")
-    with pytest.raises(StoreError, match="idle"):
+    with store.exclusive(), pytest.raises(NotInStore, match="not running"):
         other.request(scan_id, "pause")
     store.set_phase(scan_id, "running")
     with store.exclusive():
         other.request(scan_id, "pause")
     assert store.command(scan_id) == "pause"
     assert other.scan(scan_id).phase == "pausing"
-    with pytest.raises(StoreError, match="has ended"):
+    with pytest.raises(NotInStore, match="no process runs it"):
         other.request(scan_id, "resume")
+    store.finish_scan(scan_id, "completed")
+    with store.exclusive(), pytest.raises(NotInStore, match="not running"):
+        other.request(scan_id, "abort")
+    assert (other.scan(scan_id).phase, other.command(scan_id)) == ("finished", None)
     other.close()
+
+
+def test_a_scan_whose_process_was_killed_does_not_stay_running_for_ever(store):
+    scans = store.scans(store.add_campaign(CAMPAIGN))
+    store.finish_scan(scans[0].id, "completed")
+    scan_id, point = first_point(store)
+    store.set_phase(scan_id, "paused")
+    store.start_point(point.id)
+    store.end_stale_scans()
+    ended = store.scan(scan_id)
+    assert (ended.phase, ended.outcome, ended.command) == ("finished", "aborted", None)
+    assert "run the campaign again" in ended.reason
+    assert [(p.status, p.attempts) for p in store.points(scan_id)] == [("pending", 1), ("pending", 0)]
+    assert [s.outcome for s in store.scans()] == ["completed", "aborted", None]
+    assert store.scan(scans[2].id) == scans[2]
+
+
+def test_a_point_that_another_process_has_finished_is_not_written_twice(store):
+    scan_id, point = first_point(store)
+    store.start_point(point.id)
+    store.finish_point(point, point.geometry, [spectrum(1)], 1.0)
+    with pytest.raises(StoreError, match="not being measured"):
+        store.finish_point(point, point.geometry, [spectrum(2)], 1.0)
+    assert [e.counts.tolist() for e in store.exposures(scan_id)] == [spectrum(1).counts.tolist()]
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda _: b"", lambda b: b[:300] + bytes(9) + b[309:]])
+def test_a_damaged_dataset_is_said_to_be_damaged(store, tmp_path, damage):
+    scan_id, _ = first_point(store)
+    dataset_id = store.add_dataset(scan_id, dataset())
+    with sqlite3.connect(tmp_path / "bench.db") as other:
+        other.execute("DROP TRIGGER datasets_no_update")
+        (blob,) = other.execute("SELECT arrays FROM datasets").fetchone()
+        other.execute("UPDATE datasets SET arrays = ?", (damage(blob),))
+    other.close()
+    with pytest.raises(StoreError, match=f"Dataset {dataset_id} is damaged") as caught:
+        store.dataset(dataset_id)
+    assert "\n" not in str(caught.value)
 
 
 def test_what_is_not_there_is_named(store):
@@ -202,6 +308,17 @@ def test_a_second_run_on_the_same_database_is_refused_with_its_name(store, tmp_p
     with other.exclusive():
         pass
     other.close()
+
+
+def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(store, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    link = tmp_path / "elsewhere" / "link.db"
+    link.symlink_to(tmp_path / "bench.db")
+    for where in (link, f"sqlite:///{link}"):
+        other = Store.open(where)
+        with store.exclusive(), pytest.raises(StoreBusy), other.exclusive():
+            pass
+        other.close()
 
 
 def test_a_killed_run_leaves_no_lock_behind(store, tmp_path):
@@ -231,6 +348,54 @@ def test_an_empty_or_missing_file_becomes_a_database(tmp_path, content):
     store = Store.open(f"sqlite:///{path}")
     assert store.campaigns() == {}
     store.close()
+
+
+def test_a_start_that_is_killed_halfway_does_not_spoil_the_database_for_ever(tmp_path):
+    script = f"""
+        import os, signal
+        from goniometer import tables
+        from goniometer.store import Store
+        tables.insert = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # comes after the tables, before the triggers
+        Store.open({str(tmp_path / "bench.db")!r})
+    """
+    killed = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert (tmp_path / "bench.db").exists()
+    store = Store.open(tmp_path / "bench.db")
+    assert store.campaigns() == {}
+    store.close()
+
+
+def test_a_start_on_a_full_disk_does_not_spoil_the_database_for_ever(tmp_path):
+    def limit(connection, _):
+        connection.execute("PRAGMA max_page_count = 8")
+
+    event.listen(Engine, "connect", limit)
+    try:
+        with pytest.raises(StoreFull):
+            Store.open(tmp_path / "bench.db")
+    finally:
+        event.remove(Engine, "connect", limit)
+    Store.open(tmp_path / "bench.db").close()
+
+
+def test_two_first_starts_at_once_make_one_database(tmp_path):
+    script = f"""
+        import sys
+        from goniometer.store import Store
+        print(flush=True)
+        sys.stdin.readline()
+        Store.open({str(tmp_path / "bench.db")!r}).close()
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
+    processes = [subprocess.Popen(command, text=True, **pipes) for _ in range(3)]
+    for process in processes:
+        process.stdout.readline()
+    for process in processes:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    assert [process.communicate()[1] for process in processes] == [""] * 3
 
 
 def test_a_file_that_is_no_database_is_refused_in_one_line(tmp_path):
@@ -277,6 +442,7 @@ def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_p
     try:
         store = Store.open(tmp_path / "bench.db")
         scan_id, point = first_point(store)
+        store.start_point(point.id)
         store.finish_point(point, point.geometry, [spectrum()], 1.0)
         with pytest.raises(StoreFull, match="no room left"):
             fill(store, scan_id)
@@ -295,9 +461,10 @@ def test_a_point_and_its_exposures_are_written_together_or_not_at_all(tmp_path):
     try:
         store = Store.open(tmp_path / "bench.db")
         scan_id, point = first_point(store)
+        store.start_point(point.id)
         with pytest.raises(StoreFull):
             store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], 1.0)
-        assert store.points(scan_id)[0].status == "pending"
+        assert store.points(scan_id)[0].status == "running"
         assert store.exposures(scan_id) == []
         store.close()
     finally:
@@ -319,10 +486,11 @@ def test_a_lock_that_finds_no_room_is_a_full_disk(tmp_path, monkeypatch):
 def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
     _, point = first_point(store)
     reader = sqlite3.connect(tmp_path / "bench.db", isolation_level=None)
+    store.start_point(point.id)
     reader.execute("BEGIN")
-    assert reader.execute("SELECT status FROM points").fetchall() == [("pending",), ("pending",)]
+    assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
     store.finish_point(point, point.geometry, [spectrum()], 1.0)
-    assert reader.execute("SELECT status FROM points").fetchall() == [("pending",), ("pending",)]
+    assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
     reader.execute("COMMIT")
     assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]
     reader.close()
