@@ -54,8 +54,11 @@ DONE = "SELECT count(*) FROM points WHERE status = 'done'"
 
 
 def comparable(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """What must be the same after any interruption: everything but the time that it took."""
-    return [{k: v for k, v in s.items() if k != "bench_seconds"} for s in result["samples"]]
+    """What must be the same after any interruption: everything but the time that it took and the folder."""
+    return [
+        {k: v for k, v in sample.items() if k != "bench_seconds"} | {"files": [Path(f).name for f in sample["files"]]}
+        for sample in result["samples"]
+    ]
 
 
 @pytest.mark.slow
