@@ -95,7 +95,9 @@ def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavele
 
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
     """One fit as JSON text; `dataset` and `conductor` are those it was fitted with."""
-    return _text(_head(FIT_SCHEMA) | _fit_part(fit, dataset, differences) | {"conductor": _conductor_part(conductor)})
+    return strict_json(
+        _head(FIT_SCHEMA) | _fit_part(fit, dataset, differences) | {"conductor": _conductor_part(conductor)}
+    )
 
 
 def fit_from_json(text: str) -> StoredFit:
@@ -118,7 +120,7 @@ def analysis_to_json(analysis: SampleAnalysis, conductor: Conductor) -> str:
     Raises `ExportError` if the dataset's lineage holds something that JSON cannot.
     """
     dataset = analysis.dataset
-    return _text(
+    return strict_json(
         _head(ANALYSIS_SCHEMA)
         | {
             "dataset": {
@@ -273,12 +275,15 @@ def _with_nan(value: Any) -> Any:
     return value
 
 
-def _text(document: dict[str, Any]) -> str:
-    """Strict JSON, a list of numbers on one line so that a person can scroll through it."""
+def strict_json(document: dict[str, Any]) -> str:
+    """JSON without NaN or infinities (see above), a list of numbers on one line so that a person can scroll by.
+
+    Raises `ExportError` for content that JSON does not know.
+    """
     try:
         text = json.dumps(_without_non_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
     except TypeError as fault:
-        raise ExportError(f"The analysis cannot be written as JSON: {fault}.") from fault
+        raise ExportError(f"The content cannot be written as JSON: {fault}.") from fault
     # a line break never stands inside a JSON string, so this touches lists only
     return re.sub(r"\[\n\s*([^\[\]{}]*?)\s*\n\s*\]", lambda list_: f"[{_LINE_BREAK.sub(' ', list_[1])}]", text) + "\n"
 

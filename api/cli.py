@@ -5,7 +5,6 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 
 import asyncio
 import contextlib
-import json
 import signal
 import sys
 import threading
@@ -18,6 +17,7 @@ import typer
 from rich.console import Console
 
 from analysis.errors import AnalysisError
+from analysis.fit_json import strict_json
 from api.demo import demo as run_demo
 from api.derive import Export, slug
 from api.display import duration, progress_display
@@ -50,10 +50,9 @@ DATABASE = Path("goniometer.db")
 OUTPUT = Path("results")
 
 
-def emit(content: object) -> None:
-    """Print one JSON object on stdout."""
-    json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
-    sys.stdout.write("\n")
+def emit(content: dict[str, Any]) -> None:
+    """Print one JSON object on stdout, strict as the files are."""
+    sys.stdout.write(strict_json(content))
 
 
 async def ask_to_mount(scan: Scan) -> None:
@@ -102,9 +101,10 @@ def _wait(work: Coroutine[Any, Any, Result]) -> Result:
 
     async def guarded() -> Result:
         task = asyncio.current_task()
+        assert task is not None  # this is one
         for name in ("SIGTERM", "SIGHUP"):
             with contextlib.suppress(AttributeError, NotImplementedError):  # Windows has no such signals
-                asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)  # type: ignore[union-attr]
+                asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)
         return await work
 
     return asyncio.run(guarded())
@@ -127,6 +127,7 @@ def demo(
     Console().print(
         f"Took {duration(result.seconds)} here; the bench would have needed {duration(result.bench_seconds)}."
     )
+    _fail_for(result.failures)
 
 
 @app.command(name="run")
