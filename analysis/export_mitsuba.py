@@ -1,4 +1,4 @@
-"""Writes a fitted Cook-Torrance model with its shift as a `.bsdf` file for Mitsuba 3 and PBRT.
+"""Writes a fitted Cook-Torrance model with its shift as a `.bsdf` file for Mitsuba 3.
 
 The plugin `measured` of an unmodified renderer computes f cos(theta_o) = spectra(s) ndf(u) / (4 sigma), see
 `analysis.measured_bsdf`. With ndf = D and sigma = cos(theta_i) / G1(i) the model leaves

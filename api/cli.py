@@ -21,7 +21,7 @@ from analysis.fit_json import strict_json
 from api.demo import demo as run_demo
 from api.derive import Export, slug
 from api.display import duration, progress_display
-from api.outcome import SampleOutcome, outcomes, remarks, table
+from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, find_dataset, run
@@ -120,7 +120,7 @@ def demo(
     with progress_display(screen) as (show, note):
         result = _wait(run_demo(output, seed, Watch(show, note, ask_to_mount)))
     if as_json:
-        emit(asdict(result))
+        emit(asdict(result) | {"uncertainties": STATED})
         _fail_for(result.failures)
         return
     _show(result.samples)
@@ -155,6 +155,7 @@ def run_command(
                 "database": str(database),
                 "samples": [asdict(sample) for sample in samples],
                 "failures": result.failures,
+                "uncertainties": STATED,
             }
         )
     else:
@@ -218,7 +219,7 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
         if as_json:
             emit({"scan": scan.id, "sample": scan.sample, "requested": verb})
         else:
-            told = f"Asked the scan of {scan.sample} to {verb}; it obeys after the exposure in hand."
+            told = f"Asked the scan of {scan.sample} to {verb}; it obeys after the point in hand, an abort at once."
             Console().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
@@ -250,7 +251,7 @@ def fit(
 @app.command()
 def export(
     dataset: DatasetName,
-    to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3 and PBRT.")],
+    to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3.")],
     path: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,

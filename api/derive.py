@@ -66,7 +66,7 @@ def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
 
 _CONTENT = {
     "json": "fitted parameters with their uncertainties, in JSON",
-    "mitsuba": "the fitted model for Mitsuba 3 and PBRT",
+    "mitsuba": "the fitted model for Mitsuba 3",
 }
 
 

@@ -22,12 +22,8 @@ from goniometer.records import Scan
 from goniometer.store import Store
 from simulators.materials import SAMPLES, material
 
-MODEL_NAMES = {
-    "local": "local fit (Eq. 2)",
-    "global": "global fit (Eq. 3-5)",
-    "cook-torrance": "Cook-Torrance (Eq. 6)",
-    "cook-torrance-shift": "with shift (Eq. 7)",
-}
+STATED = f"standard uncertainties, k = 1; {NOT_COVERED}"
+"""What a stated uncertainty is, to be said beside every table and JSON object."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +153,7 @@ def table(samples: list[SampleOutcome]) -> Table:
 
 def remarks(samples: list[SampleOutcome]) -> list[str]:
     """Sentences below the table: why a fit is not to be trusted, and where the files are."""
-    lines = [f"Uncertainties in brackets are standard uncertainties, k = 1; {NOT_COVERED}."]
+    lines = [f"Uncertainties in brackets are {STATED}."]
     for sample in samples:
         if not sample.trusted.get("cook-torrance-shift", True):
             why = " ".join(sample.reasons["cook-torrance-shift"])

@@ -9,8 +9,8 @@ from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
 from analysis.notation import roughly, with_uncertainty
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
+from api.outcome import STATED
 from api.service import run_facts
-from goniometer.dataset import NOT_COVERED
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -38,12 +38,12 @@ def fit_dataset(store: Store, dataset_id: int, model: str | None) -> dict[str, A
     content: dict[str, Any] = json.loads(whole)
     parts = {"local": content["local"]} | {part["model"]: part for part in content["models"]}
     shown = parts if model is None else {model: parts[model]}
-    return {"dataset": dataset_id, "sample": dataset.sample, "fits": shown}
+    return {"dataset": dataset_id, "sample": dataset.sample, "uncertainties": STATED, "fits": shown}
 
 
 def fit_lines(found: dict[str, Any]) -> list[str]:
     """The result of `fit_dataset` as lines for a person; uncertainties have coverage factor k = 1."""
-    lines = [f"Dataset {found['dataset']}, {found['sample']}; standard uncertainties, k = 1; {NOT_COVERED}"]
+    lines = [f"Dataset {found['dataset']}, {found['sample']}; {STATED}"]
     for name, part in found["fits"].items():
         if name == "local":
             slopes = [m for m, good in zip(part["m_per_um"], part["reliable"], strict=True) if good]

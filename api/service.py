@@ -92,11 +92,9 @@ async def open_bench(
         try:
             await instrument.open()
             yield instrument, mount
-        except BaseException:
+        finally:
             with suppress(DriverError):  # the device may be what failed, and the first cause is what counts
                 await instrument.safe()
-            raise
-        finally:
             await instrument.close()
 
 

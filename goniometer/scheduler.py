@@ -106,6 +106,7 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
         await run.measure()
         await instrument.safe()
     except BaseException as error:
+        # The one place that catches everything: whatever ends a scan is put down as its outcome and raised again.
         # The device may be what failed, and the disk may be full: do what can be done, then tell the first cause.
         with contextlib.suppress(DriverError):
             await instrument.safe()
