@@ -8,7 +8,7 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from simulators.motion import Axis
-from simulators.wire import LoopThread
+from simulators.wire import Listener
 
 DIRECT_DATA, DIRECT_DATA_WORDS = 0x0058, 18
 INPUT_AND_OUTPUT, INPUT_AND_OUTPUT_WORDS = 0x007C, 6
@@ -21,10 +21,11 @@ WRITE_MANY = 16
 """Modbus function."""
 
 
-class SimulatedOrientalAZ:
+class SimulatedOrientalAZ(Listener):
     """One driver as a Modbus unit, and an axis with an absolute encoder."""
 
     def __init__(self, axis: Axis, *, unit: int = 1, degrees_per_step: float = 0.01) -> None:
+        super().__init__("simulated AZ")
         self.silent = False
         """Whether replies are swallowed."""
         self.lost_replies_to_motions = 0
@@ -36,28 +37,12 @@ class SimulatedOrientalAZ:
         self._input = 0
         self._alarm = 0
         self._homed = False
-        self._thread: LoopThread | None = None
         self._server: ModbusTcpServer | None = None
-        self._port = 0
 
     def start(self) -> tuple[str, int]:
         """Begin to listen and return host and port; the same ones after an unplug."""
-        if self._thread is None:
-            self._thread = LoopThread("simulated AZ")
-        self._thread.call(self._listen())
+        self._start()
         return "127.0.0.1", self._port
-
-    def unplug(self) -> None:
-        """Drop the connection and refuse new ones until `start`."""
-        if self._thread is not None:
-            self._thread.call(self._hang_up())
-
-    def close(self) -> None:
-        """End the connection and the thread; harmless when not started."""
-        if self._thread is not None:
-            self._thread.call(self._hang_up())
-            self._thread.close()
-            self._thread = None
 
     def fail(self, alarm: int) -> None:
         """Stop with an alarm until it is reset."""

@@ -6,6 +6,7 @@ simulator that lives in the same process.
 
 import asyncio
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -46,28 +47,26 @@ class WireFaults:
     """Real seconds by which replies are delayed: a client's own timeout is real, too."""
 
 
-class ByteServer:
-    """Serves one instrument's serial line on a local TCP port.
+class Listener(ABC):
+    """A peer that listens on a local TCP port, from a thread of its own."""
 
-    `answer(data)` gets the bytes as they arrive, in any portions, and returns the bytes to send back; it is
-    called in the server's thread.
-    """
-
-    def __init__(self, name: str, answer: Callable[[bytes], bytes]) -> None:
-        self.faults = WireFaults()
+    def __init__(self, name: str) -> None:
         self._name = name
-        self._answer = answer
         self._thread: LoopThread | None = None
-        self._server: asyncio.Server | None = None
-        self._transports: set[asyncio.Transport] = set()
         self._port = 0
 
-    def start(self) -> str:
-        """Begin to listen and return the URL, "socket://127.0.0.1:PORT"; the same one after an unplug."""
+    @abstractmethod
+    async def _listen(self) -> None:
+        """Begin to listen on `_port`, on any free one where it is 0, and note it there."""
+
+    @abstractmethod
+    async def _hang_up(self) -> None:
+        """Drop all connections and stop listening; harmless when not listening."""
+
+    def _start(self) -> None:
         if self._thread is None:
             self._thread = LoopThread(self._name)
         self._thread.call(self._listen())
-        return f"socket://127.0.0.1:{self._port}"
 
     def unplug(self) -> None:
         """Drop the connection and refuse new ones until `start`."""
@@ -80,6 +79,26 @@ class ByteServer:
             self._thread.call(self._hang_up())
             self._thread.close()
             self._thread = None
+
+
+class ByteServer(Listener):
+    """Serves one instrument's serial line on a local TCP port.
+
+    `answer(data)` gets the bytes as they arrive, in any portions, and returns the bytes to send back; it is
+    called in the server's thread.
+    """
+
+    def __init__(self, name: str, answer: Callable[[bytes], bytes]) -> None:
+        super().__init__(name)
+        self.faults = WireFaults()
+        self._answer = answer
+        self._server: asyncio.Server | None = None
+        self._transports: set[asyncio.Transport] = set()
+
+    def start(self) -> str:
+        """Begin to listen and return the URL, "socket://127.0.0.1:PORT"; the same one after an unplug."""
+        self._start()
+        return f"socket://127.0.0.1:{self._port}"
 
     async def _listen(self) -> None:
         loop = asyncio.get_running_loop()
