@@ -39,6 +39,10 @@ class RotationStage(Protocol):
     """How the operator calls it, e.g. "sample stage"."""
     limits: tuple[float, float]
     """Lowest and highest angle that may be commanded, degrees."""
+    velocity: float
+    """Cruising speed, degrees/s; known once the stage is open."""
+    acceleration: float
+    """Of the ramps up and down, degrees/s^2; known once the stage is open."""
 
     async def open(self) -> None:
         """Connect and check that the right device answers."""
@@ -64,8 +68,15 @@ class RotationStage(Protocol):
     async def position(self) -> float:
         """Angle now, degrees."""
 
+    async def set_velocity(self, velocity: float) -> None:
+        """Cruise at `velocity` degrees/s from the next motion on."""
+
     async def stop(self) -> None:
-        """Stop moving at once; allowed from every state."""
+        """Stop moving at once; allowed from every state.
+
+        The request is on the wire before this first yields to other tasks, also while another call waits for the
+        device. Returns when the device has taken it, which is not yet when the stage rests.
+        """
 
 
 @dataclass(frozen=True)

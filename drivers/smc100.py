@@ -10,15 +10,15 @@ The answer to `VE` (revision) was not checked on a device; it is only shown.
 import re
 
 from drivers.clock import Clock
-from drivers.errors import DeviceFault, DeviceNotFound, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
+from drivers.errors import DeviceNotFound, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.interfaces import StagePhase, StageState
-from drivers.serial_port import SerialPort
-from drivers.travel import check_arrival, check_limits, longest_travel, travel_time, wait_for_rest
+from drivers.serial_port import ATTEMPTS, Query, SerialPort, line
+from drivers.stage import DIRECTLY, Mounting, Stage
 
-HOMING_TIME = 120.0
-"""Seconds that a search for the reference mark may take."""
-HOMING_POLL = 0.5
-"""Seconds between two questions while it searches."""
+END = b"\r\n"
+"""Of every line, either way."""
+NUMBER = re.compile(r"\s*[-+]?\d+(\.\d*)?([eE][-+]?\d+)?\s*")
+"""How a number is written; "nan" is none."""
 RESET_TIME = 15.0
 """Seconds that the controller may take to start again after a reset."""
 
@@ -65,7 +65,7 @@ PHASES = (
 """The state codes of `TS`; 0x14 is the configuration state, 0x46 and 0x47 are jogging."""
 
 
-class SMC100:
+class SMC100(Stage):
     """A `RotationStage` on an SMC100.
 
     `url` is pyserial's, `address` the controller's number on its chain, `limits` the lowest and highest angle
@@ -80,16 +80,21 @@ class SMC100:
         *,
         address: int = 1,
         limits: tuple[float, float] = (-5.0, 90.0),
+        mounting: Mounting = DIRECTLY,
         timeout: float = 1.0,
     ) -> None:
-        self.name = name
-        self.limits = limits
+        super().__init__(name, clock, limits=limits, mounting=mounting)
         self._url = url
-        self._clock = clock
         self._address = address
-        self._velocity = 0.0
-        self._acceleration = 0.0
-        self._port = SerialPort(name, url, baudrate=57600, timeout=timeout, terminator=b"\r\n")
+        self._port = SerialPort(
+            name,
+            url,
+            baudrate=57600,
+            timeout=timeout,
+            missing=line(END),
+            # every other answer begins with other letters
+            unmistakable=self._query("VE"),
+        )
 
     async def open(self) -> None:
         """Connect, check that an SMC100 answers and learn how fast it moves.
@@ -100,8 +105,8 @@ class SMC100:
         try:
             await self.state()
             await self._ask("TE")  # forget an error that somebody else left behind
-            self._velocity = await self._ask_number("VA", "?")
-            self._acceleration = await self._ask_number("AC", "?")
+            self.velocity = await self._ask_number("VA", "?") / self._mounting.scale
+            self.acceleration = await self._ask_number("AC", "?") / self._mounting.scale
         except DeviceTimeout as error:
             await self.close()
             message = f"{self.name}: no SMC100 with address {self._address} answers at {self._url}"
@@ -118,13 +123,17 @@ class SMC100:
         """Maker and what the controller says of itself."""
         return f"Newport {(await self._ask('VE')).strip()}"
 
-    async def state(self) -> StageState:
-        """What the stage is doing now; a fault is shown in the controller's words."""
+    async def stop(self) -> None:
+        """Stop moving at once; a stage that is not moving is left as it is."""
+        self._port.send_now(f"{self._address}ST".encode("ascii") + END)
+        await self._ask("TE")  # some states, in which nothing moves, refuse a stop: forget that
+
+    async def _read_state(self) -> StageState:
         reply = await self._ask("TS")
         if not re.fullmatch("[0-9A-Fa-f]{6}", reply):
             raise ProtocolError(f"{self.name}: {reply!r} is no SMC100 state; six hexadecimal digits were expected")
         bits, code = int(reply[:4], 16), int(reply[4:], 16)
-        position = await self.position()
+        position = await self._read_position()
         if bits:
             words = ", ".join(text for bit, text in FAULTS.items() if bits & bit)
             return StageState(StagePhase.FAULT, position, words or f"unknown error bits {bits:#06x}")
@@ -133,52 +142,24 @@ class SMC100:
                 return StageState(phase, position)
         raise ProtocolError(f"{self.name}: {code:02X} is no state of an SMC100")
 
-    async def home(self) -> None:
-        """Find the reference mark and return when it is found.
+    async def _read_position(self) -> float:
+        return await self._ask_number("TP")
 
-        A controller that has already found it, or stands in a fault, is reset first: it searches only once.
-        Raises `DeviceFault` or `DeviceTimeout` when the search fails.
-        """
+    async def _set_velocity(self, velocity: float) -> None:
+        await self._command(f"VA{velocity:.5f}")
+
+    async def _begin_homing(self) -> None:
+        """A controller that has already found its mark, or stands in a fault, is reset: it searches only once."""
         if (await self.state()).phase is not StagePhase.NOT_REFERENCED:
             await self._reset()
         await self._command("OR")
-        state = await wait_for_rest(
-            self.name, self._clock, self.state, expected=0.0, at_most=HOMING_TIME, poll=HOMING_POLL
-        )
-        if state.phase is not StagePhase.READY:
-            raise DeviceFault(f"{self.name}: is {state.phase.value}, not ready, after homing; home it again")
 
-    async def move_to(self, angle: float) -> float:
-        """Move to `angle` degrees, wait until the stage rests there, and return the angle it reads back.
-
-        Raises `DeviceRefused` outside `limits` before anything is sent, or with the controller's own reason;
-        `DeviceFault` when it stops elsewhere; `DeviceTimeout` when it does not arrive.
-        """
-        check_limits(self.name, angle, self.limits)
-        expected = travel_time(angle - await self.position(), self._velocity, self._acceleration)
-        await self._command(f"PA{angle:.5f}")
-        state = await wait_for_rest(
-            self.name, self._clock, self.state, expected=expected, at_most=longest_travel(expected)
-        )
-        check_arrival(self.name, angle, state.position)
-        return state.position
-
-    async def position(self) -> float:
-        """Angle now, degrees."""
-        return await self._ask_number("TP")
-
-    async def stop(self) -> None:
-        """Stop moving at once; a stage that is not moving is left as it is."""
-        try:
-            await self._command("ST")
-        except DeviceRefused:
-            # some states refuse a stop; that is a failure only if something moves
-            if (await self.state()).phase in {StagePhase.MOVING, StagePhase.HOMING}:
-                raise
+    async def _begin_move(self, reading: float) -> None:
+        await self._command(f"PA{reading:.5f}")
 
     async def _reset(self) -> None:
         """Start the controller again; it is silent meanwhile, and its reference is lost."""
-        await self._port.send(f"{self._address}RS\r\n".encode("ascii"))
+        await self._port.send(f"{self._address}RS".encode("ascii") + END)
         begin = self._clock.now()
         while self._clock.now() - begin < RESET_TIME:
             await self._clock.sleep(0.5)
@@ -191,27 +172,29 @@ class SMC100:
 
     async def _command(self, command: str) -> None:
         """Send a command and ask whether it was accepted, in one write. Raises `DeviceRefused`."""
-        reply = await self._exchange(f"{self._address}{command}\r\n", "TE", "")
+        before = f"{self._address}{command}".encode("ascii") + END
+        query = self._query("TE")
+        # once: asking tells and forgets the error, so that a second answer would say that all was well
+        reply = self._text(await self._port.ask(Query(before + query.request, query.wanted), attempts=1), "TE")
         if reply != "@":
             reason = REFUSALS.get(reply, f"error {reply!r}")
             raise DeviceRefused(f"{self.name}: the SMC100 refused {command}: {reason}")
 
-    async def _ask(self, query: str, parameter: str = "") -> str:
-        return await self._exchange("", query, parameter)
+    async def _ask(self, letters: str, parameter: str = "") -> str:
+        return self._text(await self._port.ask(self._query(letters, parameter), ATTEMPTS), letters)
 
-    async def _ask_number(self, query: str, parameter: str = "") -> float:
-        reply = await self._ask(query, parameter)
-        try:
-            return float(reply)
-        except ValueError:
-            message = f"{self.name}: the SMC100 answered {reply!r} to {query}; a number was expected"
-            raise ProtocolError(message) from None
+    async def _ask_number(self, letters: str, parameter: str = "") -> float:
+        reply = await self._ask(letters, parameter)
+        if not NUMBER.fullmatch(reply):
+            raise ProtocolError(f"{self.name}: the SMC100 answered {reply!r} to {letters}; a number was expected")
+        return float(reply)
 
-    async def _exchange(self, before: str, query: str, parameter: str) -> str:
-        """Send `before` and a query, and return the answer without the address and letters in front of it."""
-        prefix = f"{self._address}{query}"
-        line = await self._port.ask(f"{before}{prefix}{parameter}\r\n".encode("ascii"))
-        reply = line.decode("ascii", errors="backslashreplace")
-        if not reply.startswith(prefix):
-            raise ProtocolError(f"{self.name}: {reply!r} is no answer to {prefix}; check that this is an SMC100's line")
-        return reply.removeprefix(prefix)
+    def _query(self, letters: str, parameter: str = "") -> Query:
+        """A query; its answer begins with the same address and letters."""
+        prefix = f"{self._address}{letters}".encode("ascii")
+        return Query(prefix + parameter.encode("ascii") + END, lambda reply: reply.startswith(prefix))
+
+    def _text(self, reply: bytes, letters: str) -> str:
+        """What stands behind the address and letters of an answer."""
+        text = reply.removesuffix(END).decode("ascii", errors="backslashreplace")
+        return text.removeprefix(f"{self._address}{letters}")

@@ -13,6 +13,10 @@ LONGEST_PAUSE = 2.0
 """Seconds after which a motion under way is looked at, so that a fault does not stay unseen until its end."""
 ALLOWANCE = 5.0
 """Seconds that any motion may take beyond one and a half times its expected duration."""
+HOMING_TIME = 120.0
+"""Seconds that a search for the reference mark may take."""
+HOMING_POLL = 0.5
+"""Seconds between two questions while it searches."""
 AT_TARGET = 0.1
 """Degrees between the commanded angle and the one read back, beyond which a motion has failed."""
 

@@ -177,7 +177,6 @@ def test_a_silent_device_is_a_timeout_and_its_late_reply_is_not_taken_for_the_ne
         with pytest.raises(DeviceTimeout):
             await stage.state()
         bench.simulator.wire.late = 0.0
-        await asyncio.sleep(0.1)
         assert await stage.position() == 0.0
 
     bench.run(scenario)
@@ -186,7 +185,7 @@ def test_a_silent_device_is_a_timeout_and_its_late_reply_is_not_taken_for_the_ne
 def test_noise_on_the_line_is_no_angle(bench: Bench) -> None:
     async def scenario(stage: SMC100) -> None:
         bench.simulator.wire.corrupt = True
-        with pytest.raises(ProtocolError, match="no answer to 1TP"):
+        with pytest.raises(ProtocolError, match="is no answer to"):
             await stage.position()
 
     bench.run(scenario)
