@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 
 import asyncio
 import contextlib
+import logging
 import signal
 import sys
 import threading
@@ -24,7 +25,7 @@ from api.display import duration, progress_display
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
-from api.service import ACTIVE_PHASES, Watch, active_scan, find_dataset, run
+from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, find_dataset, run
 from api.settings import load_instrument
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
@@ -163,6 +164,32 @@ def run_command(
     _fail_for(result.failures)
 
 
+@app.command()
+def doctor(
+    instrument: Annotated[
+        Path | None, typer.Option(help="Instrument file (TOML); without it the simulated bench is examined.")
+    ] = None,
+    home: Annotated[
+        bool, typer.Option("--home", help="Home stages that do not know their reference; look before they turn.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check every device: open it, read it, turn it a degree, and say in one line each what is wrong."""
+    if instrument:
+        screen.print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
+    findings = _wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
+    fit = not any(finding.problems for finding in findings)
+    if as_json:
+        emit({"fit": fit, "findings": [asdict(finding) for finding in findings]})
+    else:
+        out = Console()
+        for finding in findings:
+            style = "red" if finding.problems else None
+            out.print(finding.line(), style=style, markup=False, highlight=False, soft_wrap=True)
+    if not fit:
+        raise typer.Exit(1)
+
+
 def _fail_for(failures: tuple[str, ...]) -> None:
     """End with exit code 1 where some sample has no fits, once everything else has been shown."""
     if failures:
@@ -287,8 +314,23 @@ def _existing(database: Path) -> Store:
     return Store.open(database)
 
 
+class _Warnings(logging.Handler):
+    """Shows what drivers and scans warn of on stderr, a line each, above the progress where there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        screen.print(
+            f"{record.levelname.lower()}: {record.getMessage()}",
+            style="yellow",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
 def main() -> NoReturn:
     """Entry point of `goniometer`: runs a command and turns typed errors into one line and an exit code."""
+    for floor in ("drivers", "goniometer"):
+        logging.getLogger(floor).addHandler(_Warnings(logging.WARNING))
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         sys.stdout.flush()

@@ -5,36 +5,40 @@ The command line is a thin face over these functions.
 
 import asyncio
 import multiprocessing
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, asynccontextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from usb.backend import IBackend
 
 from analysis.errors import AnalysisError
 from analysis.report import RunFacts
 from api.derive import REPORT, Derived, derive, end_with_parent, slug
-from api.settings import InstrumentSettings, SpectrometerSettings, StageSettings, make_stage
+from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
 from goniometer.calibration import calibrate_scan, certificate_of, check_certificate
 from goniometer.campaign import Campaign
 from goniometer.dataset import Dataset
-from goniometer.errors import CalibrationError, CampaignError, NotInStore, StoreFull
+from goniometer.doctor import Bench, Finding, examine, release, visit
+from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, NotInStore, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
-from simulators.laboratory import simulated_laboratory
+from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
 from simulators.materials import material
 
 ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
 """Phases of a scan that some process is running, or was when it was killed."""
 
+SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
 SAMPLE_STAGE_LIMITS = (0.0, LARGEST_ANGLE + 5.0)
 DETECTOR_STAGE_LIMITS = (-LARGEST_ANGLE, 2 * LARGEST_ANGLE)
 """Degrees: all that in-plane geometry can ask for, and nothing beyond."""
@@ -52,50 +56,125 @@ class Watch:
     """Asks a person to mount a sample on a real bench and returns when it lies there."""
 
 
+def make_bench(settings: InstrumentSettings, clock: Clock, usb_backend: IBackend | None) -> Bench:
+    """The drivers of all devices of `settings`, not yet open; a `usb_backend` of None is the system's own."""
+    wanted = settings.spectrometer
+    spectrometer = QEPro(
+        "spectrometer",
+        clock,
+        serial_number=wanted.serial_number,
+        usb_backend=usb_backend,
+        cooler_set_point=wanted.cooler_set_point,
+        temperature_tolerance=wanted.temperature_tolerance,
+        timeout=wanted.timeout,
+    )
+    return Bench(
+        make_stage(SAMPLE_STAGE, settings.stages.sample, SAMPLE_STAGE_LIMITS, clock),
+        make_stage(DETECTOR_STAGE, settings.stages.detector, DETECTOR_STAGE_LIMITS, clock),
+        spectrometer,
+        QEProLight(spectrometer),
+        clock,
+        set_point=wanted.cooler_set_point,
+        tolerance=wanted.temperature_tolerance,
+        forbidden=tuple(forbidden.region for forbidden in settings.forbidden),
+    )
+
+
+def simulated_settings(laboratory: Laboratory) -> InstrumentSettings:
+    """The instrument file of a simulated laboratory."""
+    urls = laboratory.sample_stage_url, laboratory.detector_stage_url
+    sample, detector = (
+        {"driver": family, "url": url} | ({"counts_per_degree": COUNTS_PER_DEGREE} if family == "owis" else {})
+        for family, url in zip(laboratory.families, urls, strict=True)
+    )
+    return InstrumentSettings.model_validate(
+        {"stages": {"sample": sample, "detector": detector}, "spectrometer": {"gain": laboratory.gain}}
+    )
+
+
+@dataclass(frozen=True)
+class _Site:
+    """Where a bench stands: in the real world, or in a simulated laboratory."""
+
+    settings: InstrumentSettings
+    bench: Bench
+    laboratory: Laboratory | None
+    """None in the real world."""
+
+    def unplugged(self) -> dict[str, DriverError]:
+        """Stages whose serial numbers are not plugged in, by name, and what is there instead."""
+        stages = self.settings.stages
+        return not_plugged_in({SAMPLE_STAGE: stages.sample, DETECTOR_STAGE: stages.detector})
+
+
+@contextmanager
+def _site(settings: InstrumentSettings | None, seed: int, families: tuple[str, str]) -> Iterator[_Site]:
+    if settings is not None:
+        yield _Site(settings, make_bench(settings, WallClock(), None), None)
+        return
+    with simulated_laboratory(seed, families) as laboratory:
+        settings = simulated_settings(laboratory)
+        yield _Site(settings, make_bench(settings, laboratory.clock, laboratory.usb_backend), laboratory)
+
+
 @asynccontextmanager
 async def open_bench(
-    settings: InstrumentSettings | None, seed: int, ask: Mount
+    settings: InstrumentSettings | None, seed: int, ask: Mount, families: tuple[str, str] = STAGES
 ) -> AsyncIterator[tuple[Instrument, Mount]]:
-    """The configured bench, opened and homed, or the simulated one; and how a sample gets onto it.
+    """The configured bench, opened, homed and examined, or the simulated one; and how a sample gets onto it.
 
-    The same drivers run both. Raises `DriverError` where a device does not answer.
+    The same drivers run both; `families` are those of the simulated stages. Raises `DriverError` where a device does
+    not answer and `BenchUnfit` where the doctor finds a fault.
     """
-    with ExitStack() as stack:
-        clock: Clock = WallClock()
-        backend = None
-        mount = ask
-        if settings is None:
-            laboratory = stack.enter_context(simulated_laboratory(seed))
-            settings = InstrumentSettings(
-                sample_stage=StageSettings(driver="smc100", url=laboratory.sample_stage_url),
-                detector_stage=StageSettings(driver="oriental-az", url=laboratory.detector_stage_url),
-                spectrometer=SpectrometerSettings(gain=laboratory.gain),
-            )
-            clock, backend = laboratory.clock, laboratory.usb_backend
-
-            async def mount(scan: Scan) -> None:
-                laboratory.bench.mount(scan.material)
-
-        spectrometer = QEPro(
-            "spectrometer", clock, serial_number=settings.spectrometer.serial_number, usb_backend=backend
-        )
+    with _site(settings, seed, families) as site:
+        bench = site.bench
         instrument = Instrument(
-            make_stage("sample stage", settings.sample_stage, SAMPLE_STAGE_LIMITS, clock),
-            make_stage("detector stage", settings.detector_stage, DETECTOR_STAGE_LIMITS, clock),
-            spectrometer,
-            QEProLight(spectrometer),
-            clock,
-            gain=settings.spectrometer.gain,
-            u_angle=settings.u_angle,
-            aperture=settings.aperture,
+            bench.sample_stage,
+            bench.detector_stage,
+            bench.spectrometer,
+            bench.light,
+            bench.clock,
+            gain=site.settings.spectrometer.gain,
+            u_angle=site.settings.geometry.u_angle,
+            aperture=site.settings.geometry.aperture,
+            forbidden=bench.forbidden,
         )
+
+        async def mount(scan: Scan) -> None:
+            if site.laboratory is None:
+                await ask(scan)
+            else:
+                site.laboratory.bench.mount(scan.material)
+
+        for error in site.unplugged().values():
+            raise error
         try:
             await instrument.open()
+            unfit = [finding.line() for finding in await examine(bench, referenced=True) if finding.problems]
+            if unfit:
+                raise BenchUnfit(unfit)
+        except BaseException:  # a cancellation, too
+            await release(bench)
+            raise
+        try:
             yield instrument, mount
         finally:
-            with suppress(DriverError):  # the device may be what failed, and the first cause is what counts
+            # the device may be what failed, and the first cause is what counts
+            with suppress(DriverError):
                 await instrument.safe()
-            await instrument.close()
+            with suppress(DriverError):
+                await instrument.close()
+
+
+async def diagnose(
+    settings: InstrumentSettings | None, *, home: bool = False, families: tuple[str, str] = STAGES
+) -> list[Finding]:
+    """Open and examine each device of the configured bench, or of the simulated one, and close them all.
+
+    Stages that do not know their reference are moved only if `home`.
+    """
+    with _site(settings, 0, families) as site:
+        return await visit(site.bench, home=home, absent=site.unplugged())
 
 
 @dataclass(frozen=True)

@@ -1,63 +1,175 @@
-"""The instrument file: which devices stand on the bench and where they answer.
+"""The instrument file: which devices stand on the bench, where they answer, and how they are mounted.
 
-A TOML file such as
-
-    [sample_stage]
-    driver = "smc100"
-    url = "/dev/ttyUSB0"          # or "COM3", or "socket://host:port"
-
-    [detector_stage]
-    driver = "oriental-az"
-    url = "tcp://192.168.0.20:502"
-
-    [spectrometer]
-    serial_number = "QEP01234"    # leave out to take the only QE Pro that is plugged in
-
-Without a file the simulated bench is used, which fills in the same settings with the addresses at which its
-simulators answer.
+A TOML file such as docs/instrument.toml, which shows every key. Without a file the simulated bench is used, which
+fills in the same settings with the addresses at which its simulators answer.
 """
 
+import difflib
+import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+from serial.tools import list_ports
 
 from drivers.clock import Clock
+from drivers.errors import DeviceNotFound, DriverError
 from drivers.interfaces import RotationStage
+from drivers.k10cr1 import K10CR1
 from drivers.oriental_az import OrientalAZ
+from drivers.owis import OwisPS, ReferenceMode
 from drivers.smc100 import SMC100
+from drivers.stage import Mounting
 from goniometer.errors import ConfigurationError
+from goniometer.safety import Forbidden
+
+
+def _ascends(ends: tuple[float, float]) -> tuple[float, float]:
+    if not ends[0] < ends[1]:
+        raise ValueError(f"[{ends[0]:g}, {ends[1]:g}] is no range; give the lower angle first")
+    return ends
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_ascends)]
+"""Lowest and highest angle, degrees."""
+SerialNumber = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+Positive = Annotated[float, Field(gt=0)]
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class StageSettings(_Strict):
-    """One rotation stage."""
+class _Stage(_Strict):
+    """What the settings of all stages have in common."""
 
-    driver: Literal["smc100", "oriental-az"]
-    url: str = Field(description="serial port or socket://host:port for the SMC100, tcp://host:port for the AZ")
-    address: int = Field(default=1, ge=1, le=247, description="controller address on its bus")
+    forms: ClassVar[str] = 'a port such as "/dev/ttyUSB0" or "COM3", or "socket://host:port"'
+    schemes: ClassVar[tuple[str, ...]] = ("", "socket", "rfc2217", "spy")
+
+    url: str | None = Field(default=None, min_length=1, description="where the device answers")
+    serial_number: SerialNumber | None = Field(
+        default=None, description="of the USB serial adapter or the stage; it is looked up each time the port is opened"
+    )
+    limits: Range | None = Field(default=None, description="degrees on the bench; None is all that geometry asks for")
+    zero: float = Field(default=0.0, description="reading of the stage where the bench calls the angle 0, degrees")
+    direction: Literal[1, -1] = Field(default=1, description="-1 where reading and angle grow in opposite directions")
+    scale: Positive = Field(default=1.0, description="degrees that the stage reads per degree that it turns")
+    timeout: Positive = Field(default=1.0, description="longest wait for a reply, seconds")
+
+    @model_validator(mode="after")
+    def _is_somewhere(self) -> Self:
+        if (self.url is None) == (self.serial_number is None):
+            raise ValueError("give either url or serial_number")
+        if self.url is not None and not _has_form(self.url, self.schemes):
+            raise ValueError(f"url = {self.url!r} is no address of this driver; write {self.forms}")
+        return self
+
+    @property
+    def mounting(self) -> Mounting:
+        """How the stage sits on the bench."""
+        return Mounting(self.zero, self.direction, self.scale)
+
+
+class SMC100Settings(_Stage):
+    """A stage on a Newport SMC100. It moves as fast as its controller is configured."""
+
+    driver: Literal["smc100"]
+    address: int = Field(default=1, ge=1, le=31, description="of the controller on its chain")
+
+
+class OrientalAZSettings(_Stage):
+    """A stage on an Oriental Motor AZ."""
+
+    forms: ClassVar[str] = '"tcp://host:port" or "rtu:///dev/ttyUSB0"'
+    schemes: ClassVar[tuple[str, ...]] = ("tcp", "rtu", "rtu+socket", "rtu+rfc2217", "rtu+spy")
+
+    driver: Literal["oriental-az"]
+    unit: int = Field(default=1, ge=1, le=247, description="Modbus unit")
+    baudrate: int = Field(default=115200, gt=0, description="of a serial line")
+    degrees_per_step: Positive = Field(default=0.01, description="of the table, as the driver is configured")
+    velocity: Positive = Field(default=30.0, description="degrees/s")
+    acceleration: Positive = Field(default=60.0, description="degrees/s^2")
+
+
+class OwisSettings(_Stage):
+    """A stage on an OWIS PS 10 or PS 90."""
+
+    driver: Literal["owis"]
+    axis: int = Field(default=1, ge=1, le=9, description="of the controller")
+    counts_per_degree: Positive = Field(description="steps or encoder counts per degree that the stage turns")
+    velocity: Positive = Field(default=10.0, description="degrees/s")
+    acceleration: Positive = Field(default=20.0, description="degrees/s^2")
+    velocity_unit: Positive = Field(default=1.0, description="counts/s of one unit in which the controller counts")
+    acceleration_unit: Positive = Field(default=1.0, description="counts/s^2 of one unit in which it counts")
+    reference_mode: int = Field(default=4, ge=3, le=7, description="how it searches its reference, the number of REF")
+    baudrate: int = Field(default=9600, gt=0, description="of the serial line")
+
+
+class K10CR1Settings(_Stage):
+    """A Thorlabs K10CR1."""
+
+    driver: Literal["k10cr1"]
+    velocity: Positive = Field(default=10.0, le=10, description="degrees/s")
+    acceleration: Positive = Field(default=10.0, le=20, description="degrees/s^2")
+
+
+Family = SMC100Settings | OrientalAZSettings | OwisSettings | K10CR1Settings
+StageSettings = Annotated[Family, Field(discriminator="driver")]
+FAMILIES: dict[str, type[_Stage]] = {
+    get_args(family.model_fields["driver"].annotation)[0]: family for family in get_args(Family)
+}
+"""Settings of each driver, by its name in the file."""
+
+
+class StagesSettings(_Strict):
+    """Both stages."""
+
+    sample: StageSettings
+    detector: StageSettings
+
+
+class GeometrySettings(_Strict):
+    """What is known of the bench's geometry."""
+
+    u_angle: float = Field(default=0.005, ge=0, description="standard uncertainty of one stage position, degrees")
+    aperture: float = Field(default=1.0, gt=0, lt=10, description="full angle of the detector aperture, degrees")
+
+
+class ForbiddenSettings(_Strict):
+    """A rectangle of stage angles in which the arm would hit something."""
+
+    sample: Range
+    detector: Range
+
+    @property
+    def region(self) -> Forbidden:
+        """The region that is checked before every motion."""
+        return Forbidden(sample=self.sample, detector=self.detector)
 
 
 class SpectrometerSettings(_Strict):
     """The QE Pro."""
 
-    serial_number: str | None = Field(default=None, description="None takes the only QE Pro that is plugged in")
-    gain: float = Field(default=5.0, gt=0, description="electrons per count, for the shot noise")
+    serial_number: SerialNumber | None = Field(default=None, description="None takes the only QE Pro plugged in")
+    gain: Positive = Field(default=5.0, description="electrons per count, for the shot noise")
+    cooler_set_point: float = Field(default=-10.0, ge=-40, le=30, description="degrees Celsius")
+    temperature_tolerance: Positive = Field(
+        default=0.5, description="by which the detector may be off, degrees Celsius"
+    )
+    timeout: Positive = Field(default=2.0, description="longest wait for a reply beyond the integration time, seconds")
 
 
 class InstrumentSettings(_Strict):
     """The whole bench."""
 
-    sample_stage: StageSettings
-    detector_stage: StageSettings
+    stages: StagesSettings
     spectrometer: SpectrometerSettings = SpectrometerSettings()
-    u_angle: float = Field(default=0.005, ge=0, description="standard uncertainty of one stage position, degrees")
-    aperture: float = Field(default=1.0, gt=0, lt=10, description="full angle of the detector aperture, degrees")
+    geometry: GeometrySettings = GeometrySettings()
+    forbidden: tuple[ForbiddenSettings, ...] = ()
 
 
 def load_instrument(path: Path) -> InstrumentSettings:
@@ -72,25 +184,142 @@ def load_instrument(path: Path) -> InstrumentSettings:
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "top level"
-        raise ConfigurationError(f"{path}: {where}: {first['msg'].lower()} (got {first['input']!r}).") from error
+        # a misspelt key explains the missing one
+        first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+        raise ConfigurationError(f"{path}: {_sentence(first)}") from error
 
 
-def make_stage(name: str, settings: StageSettings, limits: tuple[float, float], clock: Clock) -> RotationStage:
-    """The driver that `settings` asks for; nothing is opened yet.
+def make_stage(name: str, settings: Family, limits: tuple[float, float], clock: Clock) -> RotationStage:
+    """The driver that `settings` asks for, with `limits` where they name none; nothing is opened yet.
 
-    Raises `ConfigurationError` where the address cannot be one of that driver's.
+    A serial number is looked up by pyserial whenever the driver opens its port, so that a stage is found again when
+    the hub has given it another one.
     """
-    if settings.driver == "smc100":
-        return SMC100(name, settings.url, clock, address=settings.address, limits=limits)
-    try:
-        address = urlsplit(settings.url)
-        host, port = address.hostname, address.port
-    except ValueError:
-        host = port = None
-    if host is None or port is None or address.scheme != "tcp":
-        raise ConfigurationError(
-            f"{name}: {settings.url!r} is no address of an Oriental AZ; write it as tcp://host:port."
+    url = settings.url or rf"hwgrep://SER={re.escape(settings.serial_number or '')}(?!\S)"
+    mounting, timeout = settings.mounting, settings.timeout
+    limits = settings.limits or limits
+    match settings:
+        case SMC100Settings(address=address):
+            return SMC100(name, url, clock, address=address, limits=limits, mounting=mounting, timeout=timeout)
+        case OrientalAZSettings(velocity=velocity, acceleration=acceleration):
+            return OrientalAZ(
+                name,
+                settings.url or f"rtu+{url}",
+                clock,
+                unit=settings.unit,
+                baudrate=settings.baudrate,
+                degrees_per_step=settings.degrees_per_step,
+                velocity=velocity,
+                acceleration=acceleration,
+                limits=limits,
+                mounting=mounting,
+                timeout=timeout,
+            )
+        case OwisSettings():
+            return OwisPS(
+                name,
+                url,
+                clock,
+                axis=settings.axis,
+                counts_per_degree=settings.counts_per_degree,
+                reference_mode=ReferenceMode(settings.reference_mode),
+                velocity=settings.velocity,
+                acceleration=settings.acceleration,
+                velocity_unit=settings.velocity_unit,
+                acceleration_unit=settings.acceleration_unit,
+                limits=limits,
+                mounting=mounting,
+                timeout=timeout,
+                baudrate=settings.baudrate,
+            )
+        case K10CR1Settings(velocity=velocity, acceleration=acceleration):
+            return K10CR1(
+                name,
+                url,
+                clock,
+                velocity=velocity,
+                acceleration=acceleration,
+                limits=limits,
+                mounting=mounting,
+                timeout=timeout,
+            )
+
+
+def not_plugged_in(stages: dict[str, Family]) -> dict[str, DriverError]:
+    """For each of the named stages whose serial number is not plugged in: an error that lists what is there."""
+    present = {port.serial_number: port.device for port in list_ports.comports() if port.serial_number}
+    there = ", ".join(f"{number} at {port}" for number, port in sorted(present.items())) or "none"
+    return {
+        name: DeviceNotFound(
+            f"{name}: no USB serial adapter {settings.serial_number} is plugged in (there are: {there}); "
+            f"check its cable, its power and the instrument file"
         )
-    return OrientalAZ(name, host, port, clock, unit=settings.address, limits=limits)
+        for name, settings in stages.items()
+        if settings.serial_number is not None and settings.serial_number not in present
+    }
+
+
+def _has_form(url: str, schemes: tuple[str, ...]) -> bool:
+    """Whether `url` has one of `schemes` ("" for a plain port), and a host and port number where it must."""
+    try:
+        parts = urlsplit(url)
+        scheme = parts.scheme if "://" in url else ""
+        is_network = scheme.removeprefix("rtu+") in {"socket", "tcp", "rfc2217"}
+        return scheme in schemes and (not is_network or (parts.hostname is not None and parts.port is not None))
+    except ValueError:  # a port that is no number, or too large
+        return False
+
+
+def _sentence(fault: ErrorDetails) -> str:
+    """One pydantic error: where, what is wrong, what would be right."""
+    parts = list(fault["loc"])
+    model = _model_at(parts)
+    # behind the name of a stage stands the driver that it was read for, which is no key of the file
+    shown = [part for index, part in enumerate(parts) if not (index == 2 and parts[0] == "stages" and part in FAMILIES)]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in shown).lstrip(".") or "top level"
+    given = fault["input"]
+    match fault["type"]:
+        case "extra_forbidden":
+            text = "unknown key; " + _nearest(str(parts[-1]), model.model_fields)
+        case "missing" if isinstance(parts[-1], int):  # an end of a range
+            text = "is missing; give two angles, [lowest, highest]"
+        case "missing":
+            what = model.model_fields[str(parts[-1])].description
+            text = "this key is missing" + (f"; give the {what}" if what else "")
+        case "union_tag_not_found":
+            where += ".driver"
+            text = f"this key is missing; give one of {', '.join(FAMILIES)}"
+        case "union_tag_invalid":
+            where += ".driver"
+            text = f"there is no driver {given['driver']!r}; {_nearest(str(given['driver']), FAMILIES)}"
+        case "value_error":
+            text = str(fault["ctx"]["error"])
+        case "model_type" | "model_attributes_type":
+            text = f"{given!r} is not possible: it must be a table of keys"
+        case _:
+            told = fault["msg"].replace("String should match pattern", "it must match")
+            text = f"{given!r} is not possible: {told}".replace("Input should", "it must").replace("Tuple", "it")
+    return f"{where}: {text}"
+
+
+def _nearest(given: str, known: Iterable[str]) -> str:
+    """The known name that was meant, or all of them."""
+    near = difflib.get_close_matches(given, known, n=1, cutoff=0.5)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+
+
+def _model_at(parts: list[Any]) -> type[BaseModel]:
+    """The settings that hold the key to which the path of an error leads."""
+    match parts:
+        case ["stages", _, family, _, *_]:
+            return FAMILIES[family]
+        case ["stages", _, *_]:
+            return StagesSettings
+        case ["spectrometer", _, *_]:
+            return SpectrometerSettings
+        case ["geometry", _, *_]:
+            return GeometrySettings
+        case ["forbidden", _, _, *_]:
+            return ForbiddenSettings
+        case _:
+            return InstrumentSettings

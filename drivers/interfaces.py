@@ -121,11 +121,24 @@ class Spectrometer(Protocol):
         been characterised; the driver then returns [1.0].
         """
 
+    async def temperature(self) -> float:
+        """Of the detector now, degrees Celsius."""
+
+    async def wait_until_cold(self) -> None:
+        """Wait until the detector is at its set point; for instance after `expose` said that it is not.
+
+        Raises `DeviceTimeout` when it does not get there.
+        """
+
     async def expose(self, integration_time: float) -> Spectrum:
         """Integrate once for `integration_time` seconds.
 
-        The spectrum was taken entirely after this call began, with exactly this integration time.
+        The spectrum was taken entirely after this call began, with exactly this integration time and with the
+        detector at its set point. Raises `DeviceFault` when the detector is not.
         """
+
+    async def sequence(self, integration_time: float, scans: int) -> list[Spectrum]:
+        """`scans` spectra of `integration_time` seconds each, back to back; each is what `expose` promises."""
 
 
 class Light(Protocol):

@@ -36,6 +36,8 @@ INTERNAL_ERROR, DEFERRED = 13, 255
 HEADER = struct.Struct("<HHHHLL6sBB16sL")
 _TAIL = struct.Struct("<16sL")
 _START, _PROTOCOL, _FOOTER = 0xC0C1, 0x1100, 0xC2C3C4C5
+START = struct.pack("<HH", _START, _PROTOCOL)
+"""The bytes with which every message begins."""
 _LARGEST_IMMEDIATE = 16
 _LARGEST_PAYLOAD = 1 << 20
 _NO_CHECKSUM, _MD5 = 0, 1

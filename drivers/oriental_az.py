@@ -1,4 +1,4 @@
-"""Oriental Motor AZ driver with a DG hollow rotary table, over Modbus TCP.
+"""Oriental Motor AZ driver with a DG hollow rotary table, over Modbus TCP or RTU.
 
 Registers are 32 bits wide, two Modbus registers each, high word first. A motion is one "direct data operation":
 type, position, speed, ramps and trigger written together. The constants below whose comment says "unchecked"
@@ -6,17 +6,10 @@ come from memory and were not checked on a device: compare them with the manual 
 """
 
 import asyncio
-import contextlib
 import logging
-from collections.abc import Awaitable
-
-from pymodbus.client import AsyncModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
-from pymodbus.pdu import ModbusPDU
 
 from drivers.clock import Clock
 from drivers.errors import (
-    DeviceDisconnected,
     DeviceFault,
     DeviceNotFound,
     DeviceRefused,
@@ -25,10 +18,12 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.interfaces import StagePhase, StageState
-from drivers.travel import check_arrival, check_limits, longest_travel, travel_time, wait_for_rest
+from drivers.modbus_line import ModbusLine
+from drivers.serial_port import ATTEMPTS
+from drivers.stage import DIRECTLY, Mounting, Stage
+from drivers.travel import longest_travel, wait_for_rest
 
-# what it logs as errors is raised here in our words; without a handler it would go to stderr as well
-logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
+log = logging.getLogger(__name__)
 
 DIRECT_DATA = 0x0058
 """First register of: data number, type, position, speed, acceleration, deceleration, current, trigger, destination."""
@@ -40,6 +35,8 @@ TRIGGER_ALL = 1
 """Trigger "all data"; unchecked."""
 RAMP_STEPS_PER_UNIT = 1.0
 """A unit of acceleration in steps/s^2 (0.001 kHz/s); unchecked."""
+FASTEST = 4_000_000
+"""Highest operating speed, steps/s; unchecked."""
 INPUT = 0x007D
 """Commands, one bit each; written 1 and then 0."""
 HOME_BIT, STOP_BIT, ALARM_RESET_BIT = 1 << 4, 1 << 5, 1 << 7
@@ -48,11 +45,8 @@ OUTPUT = 0x007F
 READY_BIT, ALARM_BIT, MOVE_BIT = 1 << 5, 1 << 7, 1 << 13
 FEEDBACK_POSITION = 0x00CC
 """Position of the encoder, steps; unchecked."""
-
-HOMING_TIME = 120.0
-"""Seconds that a return to the home position may take."""
-HOMING_POLL = 0.5
-"""Seconds between two questions while it returns."""
+RECOVERY = 1.0
+"""Seconds that the driver is given to excite the motor again when an alarm was reset; unchecked."""
 
 ALARMS = {
     0x10: "excessive position deviation",
@@ -69,87 +63,78 @@ ALARMS = {
 }
 """Alarm codes in words; unchecked."""
 
-EXCEPTIONS = {
-    1: "it does not know the function",
-    2: "it does not have that register",
-    3: "the value is not allowed",
-    4: "it cannot do that in its present state",
-    11: "nothing answers behind its gateway",
-}
-"""Modbus exception codes in words (Modbus application protocol, section 7)."""
 
-
-class OrientalAZ:
+class OrientalAZ(Stage):
     """A `RotationStage` on an AZ driver.
 
-    `unit` is the Modbus unit; `limits` the lowest and highest angle that may be commanded (degrees); `velocity`
-    (degrees/s) and `acceleration` (degrees/s^2) are those of each motion; `timeout` is the longest wait for a
-    reply (seconds). The encoder is absolute, so the stage never needs homing to know its angle. The connection
+    `url` is `tcp://host:port`, `rtu:///dev/ttyUSB0`, `rtu://COM3` or `rtu+` and any URL of pyserial; `unit` is the
+    Modbus unit; `baudrate` and `parity` ("E", "O" or "N") are those set on the driver for RTU; `limits` are the lowest
+    and highest angle that may be commanded (degrees); `degrees_per_step` is the table's resolution as the driver is
+    configured; `velocity` (degrees/s) and `acceleration` (degrees/s^2) are those of each motion; `timeout` is the
+    longest wait for a reply (seconds). Raises `ValueError` for a URL of another kind.
+
+    The encoder is absolute: the stage knows its angle without homing, also after it was switched off. The connection
     belongs to the event loop in which it was opened.
     """
 
     def __init__(
         self,
         name: str,
-        host: str,
-        port: int,
+        url: str,
         clock: Clock,
         *,
         unit: int = 1,
+        baudrate: int = 115200,
+        parity: str = "E",
         limits: tuple[float, float] = (-90.0, 175.0),
+        mounting: Mounting = DIRECTLY,
         degrees_per_step: float = 0.01,
         velocity: float = 30.0,
         acceleration: float = 60.0,
         timeout: float = 1.0,
     ) -> None:
-        self.name = name
-        self.limits = limits
-        self._host = host
-        self._port = port
-        self._clock = clock
-        self._unit = unit
+        super().__init__(name, clock, limits=limits, mounting=mounting)
+        # the device keeps neither: they go with each motion
+        self.velocity = velocity
+        self.acceleration = acceleration
         self._degrees_per_step = degrees_per_step
-        self._velocity = velocity
-        self._acceleration = acceleration
-        self._timeout = timeout
-        self._client: AsyncModbusTcpClient | None = None
+        self._line = ModbusLine(name, url, unit=unit, timeout=timeout, baudrate=baudrate, parity=parity)
 
     async def open(self) -> None:
-        """Connect and check that the unit has the registers of an AZ driver. Raises `DeviceNotFound`."""
-        await self.close()
-        # a repeated trigger could move the stage twice, so nothing is ever sent again
-        self._client = AsyncModbusTcpClient(
-            self._host, port=self._port, timeout=self._timeout, retries=0, reconnect_delay=0
-        )
-        address = f"{self._host}:{self._port} (unit {self._unit})"
+        """Connect and check that the unit has the registers of an AZ driver.
+
+        Raises `DeviceNotFound` when nothing answers or something without those registers does, and `ProtocolError`
+        when what answers on a serial line does not echo.
+        """
+        await self._line.open()
         try:
-            if not await self._client.connect():
-                message = f"{self.name}: nothing answers at {address}; check its power, its cable and the address"
-                raise DeviceNotFound(message)
             await self.state()
-            await self._write(INPUT, [0])  # whoever used the device before may have left a bit raised
+            await self._set_input(0)  # whoever used the device before may have left a bit raised
         except (DeviceTimeout, DeviceRefused) as error:
             await self.close()
-            message = f"{self.name}: what answers at {address} is no AZ driver; check the address and the unit"
-            raise DeviceNotFound(message) from error
+            message = f"{self.name}: what answers at {self._line.address} is no AZ driver"
+            raise DeviceNotFound(message + "; check the address and the unit") from error
         except DriverError:
             await self.close()
             raise
 
     async def close(self) -> None:
         """Disconnect; harmless when not connected."""
-        client, self._client = self._client, None
-        if client is not None:
-            client.close()
+        await self._line.close()
 
     async def identity(self) -> str:
         """Maker and model; the device tells nothing more, so the address follows."""
-        return f"Oriental Motor AZ at {self._host}:{self._port} unit {self._unit}"
+        return f"Oriental Motor AZ at {self._line.address}"
 
-    async def state(self) -> StageState:
-        """What the stage is doing now; an alarm is shown in words."""
-        output, *alarm = await self._read(OUTPUT, 3)
-        position = await self.position()
+    async def stop(self) -> None:
+        """Stop moving at once; allowed from every state."""
+        self._line.write_at_once(INPUT, [STOP_BIT])
+        # that it arrived is only known from a reply; where it did, the bit is up already and nothing happens
+        await self._pulse(STOP_BIT)
+
+    async def _read_state(self) -> StageState:
+        output, *alarm = await self._line.read(OUTPUT, 3)
+        position = await self._read_position()
         if output & ALARM_BIT:
             code = _from_words(alarm)
             return StageState(StagePhase.FAULT, position, f"alarm {code:02X}: {ALARMS.get(code, 'see its manual')}")
@@ -157,64 +142,54 @@ class OrientalAZ:
             return StageState(StagePhase.MOVING, position)
         return StageState(StagePhase.READY if output & READY_BIT else StagePhase.DISABLED, position)
 
-    async def home(self) -> None:
-        """Return to the home position of the absolute encoder, resetting an alarm first.
+    async def _read_position(self) -> float:
+        return _from_words(await self._line.read(FEEDBACK_POSITION, 2)) * self._degrees_per_step
 
-        Raises `DeviceFault` when the alarm remains, `DeviceTimeout` when home is not reached.
-        """
-        if (await self.state()).phase is StagePhase.FAULT:
+    async def _set_velocity(self, velocity: float) -> None:
+        self._speed(velocity)  # the device learns it with the next motion
+
+    async def _begin_homing(self) -> None:
+        """Return to the home position that is stored in the absolute encoder."""
+        if (await self._read_state()).phase is StagePhase.FAULT:
             await self._pulse(ALARM_RESET_BIT)
+            await wait_for_rest(self.name, self._clock, self.state, expected=RECOVERY, at_most=longest_travel(RECOVERY))
         await self._require_ready()
         await self._pulse(HOME_BIT)
-        state = await wait_for_rest(
-            self.name, self._clock, self.state, expected=0.0, at_most=HOMING_TIME, poll=HOMING_POLL
+
+    async def _begin_move(self, reading: float) -> None:
+        """Write a motion and its trigger, once, and confirm it by reading back."""
+        await self._require_ready()
+        steps = round(reading / self._degrees_per_step)
+        speed = self._speed(self.velocity * self._mounting.scale)
+        ramp = round(self.acceleration * self._mounting.scale / self._degrees_per_step / RAMP_STEPS_PER_UNIT)
+        motion = [0, ABSOLUTE, steps, speed, ramp, ramp, FULL_CURRENT]
+        written = [word for value in motion for word in _to_words(value)]
+        failure: DriverError = ProtocolError(
+            f"{self.name}: did not take a motion to {reading:g}°; check that no one else commands it"
         )
-        if state.phase is not StagePhase.READY:
-            raise DeviceFault(f"{self.name}: is {state.phase.value}, not ready, after homing; home it again")
+        try:
+            await self._line.write(DIRECT_DATA, [*written, *_to_words(TRIGGER_ALL), *_to_words(0)])
+        except (DeviceTimeout, ProtocolError) as error:  # perhaps only the reply was lost; reading back tells
+            log.warning("%s; reading back whether it took the motion to %g°", error, reading)
+            failure = error
+        if await self._line.read(DIRECT_DATA, len(written)) != written:
+            raise failure
 
-    async def move_to(self, angle: float) -> float:
-        """Move to `angle` degrees, wait until the stage rests there, and return the angle it reads back.
+    def _speed(self, velocity: float) -> int:
+        """Degrees of the reading per second in the device's unit, steps/s. Raises `DeviceRefused` beyond its range."""
+        steps = round(velocity / self._degrees_per_step)
+        if not 1 <= steps <= FASTEST:
+            unit = self._degrees_per_step / self._mounting.scale
+            message = f"{self.name}: cannot move at {velocity / self._mounting.scale:g}°/s"
+            raise DeviceRefused(message + f"; ask for {unit:g}°/s to {FASTEST * unit:g}°/s")
+        return steps
 
-        Raises `DeviceRefused` outside `limits` before anything is sent, or when the stage is not ready;
-        `DeviceFault` on an alarm or when it stops elsewhere; `DeviceTimeout` when it does not arrive.
-        """
-        check_limits(self.name, angle, self.limits)
-        before = await self._require_ready()
-        expected = travel_time(angle - before.position, self._velocity, self._acceleration)
-        await self._trigger(angle)
-        state = await wait_for_rest(
-            self.name, self._clock, self.state, expected=expected, at_most=longest_travel(expected)
-        )
-        check_arrival(self.name, angle, state.position)
-        return state.position
-
-    async def position(self) -> float:
-        """Angle now, degrees."""
-        return _from_words(await self._read(FEEDBACK_POSITION, 2)) * self._degrees_per_step
-
-    async def stop(self) -> None:
-        """Stop moving at once; allowed from every state."""
-        await self._pulse(STOP_BIT)
-
-    async def _require_ready(self) -> StageState:
-        state = await self.state()
+    async def _require_ready(self) -> None:
+        state = await self._read_state()
         if state.phase is StagePhase.FAULT:
             raise DeviceFault(f"{self.name}: {state.message}; clear its cause, then home the stage")
         if state.phase is not StagePhase.READY:
             raise DeviceRefused(f"{self.name}: is {state.phase.value}, not ready; wait, or switch its motor on")
-        return state
-
-    async def _trigger(self, angle: float) -> None:
-        """Write a motion and its trigger, once, and confirm it by reading back."""
-        steps = round(angle / self._degrees_per_step)
-        speed = round(self._velocity / self._degrees_per_step)
-        ramp = round(self._acceleration / self._degrees_per_step / RAMP_STEPS_PER_UNIT)
-        motion = [0, ABSOLUTE, steps, speed, ramp, ramp, FULL_CURRENT]
-        written = [word for value in motion for word in _to_words(value)]
-        with contextlib.suppress(DeviceTimeout):  # perhaps only the reply was lost; reading back tells
-            await self._write(DIRECT_DATA, [*written, *_to_words(TRIGGER_ALL), *_to_words(0)])
-        if await self._read(DIRECT_DATA, len(written)) != written:
-            raise ProtocolError(f"{self.name}: did not take a motion to {angle:g}°; check that no one else commands it")
 
     async def _pulse(self, bit: int) -> None:
         """Raise and lower one bit of the input; the device acts on the rising edge.
@@ -223,57 +198,16 @@ class OrientalAZ:
         """
 
         async def raise_and_lower() -> None:
-            await self._write(INPUT, [bit])
-            await self._write(INPUT, [0])
+            try:
+                await self._set_input(bit)
+            finally:
+                await self._set_input(0)
 
         await asyncio.shield(raise_and_lower())
 
-    async def _read(self, address: int, count: int) -> list[int]:
-        request = self._connected().read_holding_registers(address, count=count, device_id=self._unit)
-        reply = await self._exchange(request, f"reading register {address:#06x}")
-        if len(reply.registers) != count:
-            message = f"{self.name}: answered {len(reply.registers)} registers where {count} were asked"
-            raise ProtocolError(message + "; reopen the device")
-        return list(reply.registers)
-
-    async def _write(self, address: int, words: list[int]) -> None:
-        request = self._connected().write_registers(address, words, device_id=self._unit)
-        await self._exchange(request, f"writing register {address:#06x}")
-
-    async def _exchange(self, request: Awaitable[ModbusPDU], what: str) -> ModbusPDU:
-        """Send `request` and return the reply.
-
-        A request that is cancelled still waits for its reply: a second one sent meanwhile could get lost.
-        """
-        try:
-            reply = await asyncio.shield(request)
-        except ModbusException as error:
-            raise self._explain(error) from error
-        if reply.isError():
-            reason = EXCEPTIONS.get(reply.exception_code, f"exception {reply.exception_code}")
-            raise DeviceRefused(f"{self.name}: the AZ refused {what}: {reason}")
-        return reply
-
-    def _connected(self) -> AsyncModbusTcpClient:
-        if self._client is None:
-            raise DeviceDisconnected(f"{self.name}: is not open; open the device first")
-        if not self._client.connected:
-            raise self._lost()
-        return self._client
-
-    def _lost(self) -> DeviceDisconnected:
-        message = f"{self.name}: the connection to {self._host}:{self._port} is lost"
-        return DeviceDisconnected(message + "; check the cable, then reopen it")
-
-    def _explain(self, error: ModbusException) -> DriverError:
-        """A pymodbus exception in our words."""
-        gone = self._client is None or not self._client.connected
-        if gone or isinstance(error, ConnectionException):
-            return self._lost()
-        if isinstance(error, ModbusIOException):
-            message = f"{self.name}: no answer from {self._host}:{self._port} within {self._timeout:g} s"
-            return DeviceTimeout(message + "; check that the device is on")
-        return ProtocolError(f"{self.name}: sent a malformed Modbus reply ({error}); reopen the device")
+    async def _set_input(self, bits: int) -> None:
+        """Write the input, again if need be: a bit that is written twice rises once."""
+        await self._line.write(INPUT, [bits], attempts=ATTEMPTS)
 
 
 def _to_words(value: int) -> list[int]:

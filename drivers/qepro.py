@@ -1,37 +1,40 @@
 """Ocean Optics (Ocean Insight) QE Pro spectrometer on USB.
 
-The meaning of the lamp and shutter payloads (one byte, 1 = on or open) was not checked on a device.
+A spectrum is delivered only when its own metadata say that it is the one that was asked for: integration time, trigger
+mode, a count and a tick beyond all before; and when the detector is as cold as it was set. One that is not, or gets
+lost, is taken again, a few times, and each time is logged.
+
+That ticks are microseconds since the device was switched on is from memory.
 """
 
+import asyncio
+import contextlib
+import logging
 import struct
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
 
 from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.device_thread import DeviceThread
-from drivers.errors import DeviceDisconnected, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
+from drivers.errors import DeviceDisconnected, DeviceFault, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.interfaces import Spectrum
-from drivers.obp import Message
-from drivers.usb_link import UsbLink, open_link
-
-VENDOR, PRODUCT = 0x2457, 0x4004
-PIXELS = 1044
-METADATA = struct.Struct("<LQLHB13x")
-"""In front of each spectrum: count, tick, integration time in microseconds, reserved, trigger mode."""
-
-SERIAL_NUMBER = 0x00000100
-SET_INTEGRATION_TIME = 0x00110010
-SET_TRIGGER_MODE = 0x00110110
-ABORT = 0x00100000
-CLEAR_BUFFER = 0x00100830
-SPECTRUM = 0x00100928
-WAVELENGTH_COUNT, WAVELENGTH_COEFFICIENT = 0x00180100, 0x00180101
-NONLINEARITY_COUNT, NONLINEARITY_COEFFICIENT = 0x00181100, 0x00181101
-COOLER_STABLE, TEMPERATURE, ENABLE_COOLER, SET_COOLER = 0x00420003, 0x00420004, 0x00420010, 0x00420011
-LAMP, SHUTTER = 0x00110410, 0x00110610
+from drivers.qepro_wire import (
+    BUFFERED,
+    COOLER_ENABLED,
+    COOLER_STABLE,
+    GPIO_LEVELS,
+    GPIO_OUTPUTS,
+    LAMP,
+    SHUTTER,
+    TEMPERATURE,
+    Gpio,
+    Known,
+    QEProWire,
+    Reading,
+    Setting,
+    TriggerMode,
+)
 
 COOLING_TIME = 600.0
 """Seconds that the cooler may take to its set point."""
@@ -39,23 +42,22 @@ COOLING_POLL = 2.0
 """Seconds between two questions while it cools."""
 ATTEMPTS = 4
 """How often a spectrum is taken before the device is said to deliver only stale ones."""
+POLL = 0.02
+"""Seconds between two questions for a spectrum that should be there."""
+TICK_SLACK = 0.99
+"""The part of the integration time that two spectra in a row are at least apart."""
 
-
-@dataclass(frozen=True)
-class _Calibration:
-    """What the device knows of itself, read once when it is opened."""
-
-    serial_number: str
-    wavelengths: FloatArray
-    nonlinearity: FloatArray
+log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 
 class QEPro:
     """A `Spectrometer` on a QE Pro.
 
-    Opening it switches the cooler on and waits until the detector is at `cooler_set_point` (degrees Celsius),
-    which takes minutes. Of several devices, `serial_number` tells which. `usb_backend` is a pyusb backend, the
-    system's own by default. `timeout` bounds each reply beyond the integration time, in seconds.
+    Opening it switches the cooler on and waits until the detector is at `cooler_set_point` (degrees Celsius), which
+    takes minutes; a spectrum that was taken more than `temperature_tolerance` degrees from it is refused. Of several
+    devices, `serial_number` tells which. `usb_backend` is a pyusb backend, the system's own by default. `timeout`
+    bounds each reply beyond the integration time, in seconds.
     """
 
     integration_limits = (0.008, 1600.0)
@@ -71,6 +73,7 @@ class QEPro:
         serial_number: str | None = None,
         usb_backend: Any = None,  # usb.backend.IBackend, which has no types
         cooler_set_point: float = -10.0,
+        temperature_tolerance: float = 0.5,
         timeout: float = 2.0,
     ) -> None:
         self.name = name
@@ -78,150 +81,255 @@ class QEPro:
         self._serial_number = serial_number
         self._usb_backend = usb_backend
         self._cooler_set_point = cooler_set_point
+        self._temperature_tolerance = temperature_tolerance
         self._timeout = timeout
         self._thread = DeviceThread(name)
-        self._link: UsbLink | None = None
-        self._calibration: _Calibration | None = None
-        self._integration_us = 0
-        self._last_count = -1
+        self._wire: QEProWire | None = None
+        self._known: Known | None = None
+        self._newest: Reading | None = None
+        self._distrust = ""
+        """Why no spectrum may be taken before the device is opened again."""
 
     async def open(self) -> None:
         """Connect, read the calibration, cool the detector and wait until it is cold.
 
-        Raises `DeviceNotFound` and `DeviceTimeout`.
+        Raises `DeviceNotFound`; `DeviceFault` when the calibration in the device is no calibration; `DeviceTimeout`
+        when it does not answer or does not get cold.
         """
         await self.close()
         try:
             await self._thread.run(self._connect)
-            await self._cool()
-        except DriverError:
+            await self._run(QEProWire.abort)  # of an integration that somebody left behind
+            await self._run(QEProWire.set_cooler, self._cooler_set_point)
+            await self.wait_until_cold()
+            # from now on it is known which spectra are old ones
+            await self.expose(self.integration_limits[0])
+        except (DriverError, asyncio.CancelledError):
             await self.close()
             raise
 
     async def close(self) -> None:
         """Disconnect; harmless when not connected. The cooler is left on, so that a reopening is quick."""
-        await self._thread.finish(self._disconnect)
+        await asyncio.shield(self._thread.finish(self._disconnect))
 
     async def identity(self) -> str:
-        """Maker, model and serial number."""
-        return f"Ocean Optics QE Pro {self._known().serial_number}"
+        """Maker, model, serial number, and the revisions where the device tells them."""
+        return self._opened().identity
 
     async def wavelengths(self) -> FloatArray:
         """[1044] nanometres: the device's polynomial in the pixel index."""
-        return self._known().wavelengths
+        return self._opened().wavelengths
 
     async def nonlinearity(self) -> FloatArray:
         """[coefficients] of the polynomial to divide by; [1.0] for a device that was never characterised."""
-        return self._known().nonlinearity
+        return self._opened().nonlinearity
+
+    async def temperature(self) -> float:
+        """Of the detector now, degrees Celsius."""
+        return await self._run(QEProWire.ask, TEMPERATURE, "<f")
+
+    async def wait_until_cold(self) -> None:
+        """Wait until the cooler is stable and the detector at its set point.
+
+        Raises `DeviceFault` when the cooler is off, `DeviceTimeout` when it takes longer than `COOLING_TIME`.
+        """
+        begin = self._clock.now()
+        while True:
+            # the time is taken before the questions: another task may let much of it pass before the answers
+            elapsed = self._clock.now() - begin
+            temperature = await self.temperature()
+            if await self._run(QEProWire.ask, COOLER_STABLE, "<B") and self._is_cold(temperature):
+                return
+            if not await self._run(QEProWire.ask, COOLER_ENABLED, "<B"):
+                raise DeviceFault(f"{self.name}: the cooler is off; reopen the device, which switches it on")
+            if elapsed > COOLING_TIME:
+                message = f"{self.name}: the detector is at {temperature:.1f} °C after {COOLING_TIME:g} s; it should"
+                raise DeviceTimeout(message + f" rest at {self._cooler_set_point:g} °C: is the room too warm?")
+            await self._clock.sleep(COOLING_POLL)
 
     async def expose(self, integration_time: float) -> Spectrum:
         """Integrate once for `integration_time` seconds.
 
-        What the device integrates on its own is thrown away first. The device may still deliver a spectrum
-        of the previous setting; it is recognised by its own metadata and discarded. Raises `ProtocolError` when
-        nothing else comes, `DeviceTimeout` when nothing comes, `DeviceRefused` outside the limits.
+        What the device integrates on its own is thrown away first. A spectrum that is not the one asked for, or gets
+        lost, is taken again. Raises `ProtocolError` when nothing else comes, `DeviceTimeout` when it takes longer,
+        `DeviceRefused` outside the limits, `DeviceFault` when the detector is not cold or the device was restarted
+        since it was opened. When cancelled it ends at once and aborts the integration.
         """
+
+        async def take() -> list[Reading]:
+            request = await self._run(QEProWire.begin, microseconds)
+            # a long wait is spent on the clock, where it can be cancelled, and not in the device's thread
+            await self._clock.sleep(integration_time)
+            return [await self._run(QEProWire.finish, request)]
+
+        microseconds = self._microseconds(integration_time)
+        return (await self._acquire(take, microseconds, TriggerMode.NORMAL, ATTEMPTS))[0]
+
+    async def sequence(self, integration_time: float, scans: int) -> list[Spectrum]:
+        """`scans` spectra of `integration_time` seconds each, taken back to back into the device's own buffer.
+
+        Their counts are consecutive and their ticks at least one integration time apart; otherwise all are taken
+        again. Raises as `expose` does, and `DeviceRefused` when the buffer has no room for so many.
+        """
+        largest = self._opened().largest_buffer
+        if not 1 <= scans <= largest:
+            raise DeviceRefused(f"{self.name}: cannot take {scans} spectra in a row; ask for 1 to {largest}")
+
+        async def take() -> list[Reading]:
+            await self._run(QEProWire.fill, microseconds, TriggerMode.NORMAL, scans)
+            for number in range(1, scans + 1):
+                await self._clock.sleep(integration_time)
+                late = f"{self.name}: spectrum {number} of {scans} of {integration_time:g} s is not there in time"
+                await self._buffered(number, self._timeout, late + "; switch the device off and on")
+            return await self._run(QEProWire.read_buffer, scans)
+
+        microseconds = self._microseconds(integration_time)
+        return await self._acquire(take, microseconds, TriggerMode.NORMAL, ATTEMPTS)
+
+    async def expose_on_trigger(self, mode: TriggerMode, integration_time: float, within: float) -> Spectrum:
+        """Integrate once, when an external pulse says so, within so many seconds.
+
+        Raises as `expose` does, and `DeviceTimeout` when no pulse comes. A spectrum that is not the one asked for is
+        an error at once, because the pulse does not come back.
+        """
+
+        async def take() -> list[Reading]:
+            await self._run(QEProWire.fill, microseconds, mode, 1)
+            late = f"{self.name}: no spectrum came within {within:g} s of waiting for a trigger; check its cable"
+            await self._buffered(1, within + integration_time + self._timeout, late)
+            return await self._run(QEProWire.read_buffer, 1)
+
+        microseconds = self._microseconds(integration_time)
+        return (await self._acquire(take, microseconds, mode, 1))[0]
+
+    async def change(self, setting: Setting, value: int) -> None:
+        """Set the lamp or the shutter and read it back where the device can tell.
+
+        Raises `DeviceRefused` when it says no, `DeviceFault` when it says yes and does not.
+        """
+        await self._run(QEProWire.set, setting, struct.pack(setting.layout, value))
+
+    async def gpio(self) -> Gpio:
+        """Directions and levels of the general-purpose pins."""
+        outputs = await self._run(QEProWire.ask, GPIO_OUTPUTS.query, "<L")
+        levels = await self._run(QEProWire.ask, GPIO_LEVELS.query, "<L")
+        return Gpio(int(outputs), int(levels))
+
+    async def set_gpio_outputs(self, outputs: int, mask: int) -> None:
+        """Make pins outputs (1) or inputs (0); only those with a 1 in `mask`. Raises as `change` does."""
+        await self._run(QEProWire.set_pins, GPIO_OUTPUTS, outputs, mask)
+
+    async def set_gpio_levels(self, levels: int, mask: int) -> None:
+        """Drive output pins high (1) or low (0); only those with a 1 in `mask`. Raises as `change` does."""
+        await self._run(QEProWire.set_pins, GPIO_LEVELS, levels, mask)
+
+    # what every acquisition shares
+
+    def _microseconds(self, integration_time: float) -> int:
         low, high = self.integration_limits
         if not low <= integration_time < high:
             message = f"{self.name}: cannot integrate for {integration_time:g} s; ask for {low:g} s to {high:g} s"
             raise DeviceRefused(message)
-        microseconds = round(integration_time * 1e6)
-        for _ in range(ATTEMPTS):
-            request = await self._thread.run(self._begin, microseconds)
-            # a long wait is spent on the clock, where it can be cancelled, and not in the device's thread
-            await self._clock.sleep(integration_time)
-            spectrum = await self._thread.run(self._finish, request)
-            is_fresh = round(spectrum.integration_time * 1e6) == microseconds and spectrum.count != self._last_count
-            self._last_count = spectrum.count
-            if is_fresh:
-                return spectrum
-            self._integration_us = 0
-        message = f"{self.name}: delivered {ATTEMPTS} stale spectra, the last of {spectrum.integration_time:g} s"
-        raise ProtocolError(message + f" where {integration_time:g} s were set; switch the device off and on")
+        return round(integration_time * 1e6)
 
-    async def command(self, message_type: int, payload: bytes) -> None:
-        """Send one setting and wait until the device has acknowledged it. Raises `DeviceRefused`."""
-        await self._thread.run(self._command, message_type, payload)
+    async def _acquire(
+        self, take: Callable[[], Awaitable[list[Reading]]], microseconds: int, mode: TriggerMode, attempts: int
+    ) -> list[Spectrum]:
+        """What `take` brings, once it is what was asked for."""
+        if self._distrust:
+            raise DeviceFault(self._distrust)
+        readings: list[Reading] = []
+        for attempt in range(1, attempts + 1):
+            try:
+                readings = await take()
+                wrong = self._what_is_wrong(readings, microseconds, mode)
+            except ProtocolError as error:
+                wrong = str(error)
+            except asyncio.CancelledError:
+                with contextlib.suppress(DriverError):  # the next acquisition begins with an abort in any case
+                    await asyncio.shield(self._run(QEProWire.abort))
+                raise
+            if not wrong:
+                temperature = await self.temperature()
+                self._check_temperature(temperature)
+                return [Spectrum(r.counts, r.microseconds / 1e6, r.count, temperature) for r in readings]
+            await self._run(QEProWire.forget_settings)
+            log.warning("%s: %s (attempt %d of %d)", self.name, wrong, attempt, attempts)
+        if any(_is_older(reading, self._newest) for reading in readings):
+            self._distrust = f"{self.name}: {wrong}: it was restarted; reopen it, for its settings are lost"
+            raise DeviceFault(self._distrust)
+        message = f"{self.name}: delivered {attempts} stale spectra where {microseconds / 1e6:g} s were set"
+        raise ProtocolError(f"{message}, the last time: {wrong}; switch the device off and on")
 
-    def _open_link(self) -> UsbLink:
-        if self._link is None:
-            raise DeviceDisconnected(f"{self.name}: is not open; open the device first")
-        return self._link
+    def _what_is_wrong(self, readings: list[Reading], microseconds: int, mode: TriggerMode) -> str:
+        """Why these are not what was asked for; empty when they are."""
+        before: Reading | None = None
+        for reading in readings:
+            newest = self._newest
+            if newest and _is_older(reading, newest):
+                told = f"spectrum {reading.count} at tick {reading.tick}"
+                return f"{told} came after {newest.count} at {newest.tick}"
+            if newest and reading.count == newest.count:
+                return f"spectrum {reading.count} came again"
+            self._newest = reading
+            if (reading.microseconds, reading.mode) != (microseconds, mode):
+                return f"a spectrum of {reading.microseconds / 1e6:g} s in trigger mode {reading.mode} came"
+            if before is not None and reading.count != before.count + 1:
+                return f"spectrum {reading.count} came next after {before.count}"
+            if before is not None and reading.tick - before.tick < TICK_SLACK * microseconds:
+                return f"two spectra are only {reading.tick - before.tick} ticks apart"
+            before = reading
+        return ""
 
-    def _known(self) -> _Calibration:
-        if self._calibration is None:
-            raise DeviceDisconnected(f"{self.name}: is not open; open the device first")
-        return self._calibration
+    def _is_cold(self, temperature: float) -> bool:
+        return abs(temperature - self._cooler_set_point) <= self._temperature_tolerance
 
-    async def _cool(self) -> None:
-        await self.command(SET_COOLER, struct.pack("<f", self._cooler_set_point))
-        await self.command(ENABLE_COOLER, b"\x01")
+    def _check_temperature(self, temperature: float) -> None:
+        if not self._is_cold(temperature):
+            message = f"{self.name}: the detector is at {temperature:.2f} °C instead of {self._cooler_set_point:g} °C"
+            raise DeviceFault(message + "; the spectrum is thrown away: check the cooler and wait until it is cold")
+
+    async def _buffered(self, number: int, seconds: float, late: str) -> None:
+        """Wait until the buffer holds `number` spectra. Raises `DeviceTimeout(late)` after `seconds`."""
         begin = self._clock.now()
-        while not await self._thread.run(self._ask, COOLER_STABLE, "<B"):
-            if self._clock.now() - begin > COOLING_TIME:
-                temperature = await self._thread.run(self._ask, TEMPERATURE, "<f")
-                message = f"{self.name}: the detector is at {temperature:.1f} °C after {COOLING_TIME:g} s"
-                raise DeviceTimeout(
-                    message + f"; it should rest at {self._cooler_set_point:g} °C: is the room too warm?"
-                )
-            await self._clock.sleep(COOLING_POLL)
+        while True:
+            elapsed = self._clock.now() - begin
+            if await self._run(QEProWire.ask, BUFFERED, "<L") >= number:
+                return
+            if elapsed > seconds:
+                await self._run(QEProWire.abort)
+                raise DeviceTimeout(late)
+            await self._clock.sleep(POLL)
 
-    # what follows blocks and runs in the device's thread
+    async def _run(self, call: Callable[..., T], *arguments: object) -> T:
+        """Run a method of `QEProWire` in the device's thread. Raises `DeviceDisconnected` when it is not open."""
+        if self._wire is None:  # no thread begins for a device that is closed
+            raise DeviceDisconnected(f"{self.name}: is not open; open the device first")
+        return await self._thread.run(call, self._wire, *arguments)
+
+    def _opened(self) -> Known:
+        if self._known is None:
+            raise DeviceDisconnected(f"{self.name}: is not open; open the device first")
+        return self._known
+
+    # these two run in the device's thread
 
     def _connect(self) -> None:
-        self._link, serial_number = open_link(
-            self.name, VENDOR, PRODUCT, SERIAL_NUMBER, self._serial_number, self._usb_backend, self._timeout
-        )
-        wavelengths = self._coefficients(WAVELENGTH_COUNT, WAVELENGTH_COEFFICIENT)
-        nonlinearity = self._coefficients(NONLINEARITY_COUNT, NONLINEARITY_COEFFICIENT)
-        if not nonlinearity.any():
-            nonlinearity = np.ones(1)
-        pixels = np.arange(PIXELS, dtype=np.float64)
-        axis = sum((c * pixels**power for power, c in enumerate(wavelengths)), start=np.zeros(PIXELS))
-        self._calibration = _Calibration(serial_number, axis, nonlinearity)
-        # neither is known of a device that others may have used
-        self._integration_us, self._last_count = 0, -1
+        self._wire = QEProWire(self.name, self._serial_number, self._usb_backend, self._timeout)
+        self._known = self._wire.known()
+        self._newest, self._distrust = None, ""
 
     def _disconnect(self) -> None:
-        link, self._link, self._calibration = self._link, None, None
-        if link is not None:
-            link.close()
+        wire, self._wire, self._known = self._wire, None, None
+        if wire is not None:
+            wire.close()
 
-    def _command(self, message_type: int, payload: bytes) -> None:
-        self._open_link().command(message_type, payload)
 
-    def _ask(self, message_type: int, layout: str, payload: bytes = b"") -> float:
-        """One number of the given `struct` layout."""
-        reply = self._open_link().ask(message_type, payload)
-        if len(reply) != struct.calcsize(layout):
-            message = f"{self.name}: answered {len(reply)} bytes to {message_type:#010x}"
-            raise ProtocolError(message + f"; {struct.calcsize(layout)} were expected")
-        return float(struct.unpack(layout, reply)[0])
-
-    def _coefficients(self, count_message: int, message: int) -> FloatArray:
-        count = int(self._ask(count_message, "<B"))
-        return np.array([self._ask(message, "<f", bytes([index])) for index in range(count)])
-
-    def _begin(self, microseconds: int) -> Message:
-        """Throw away what was integrated before, and request a new spectrum."""
-        link = self._open_link()
-        if microseconds != self._integration_us:
-            link.command(SET_INTEGRATION_TIME, struct.pack("<L", microseconds))
-            self._integration_us = microseconds
-        link.command(ABORT)
-        link.command(SET_TRIGGER_MODE, b"\x00")
-        link.command(CLEAR_BUFFER)
-        return link.send(SPECTRUM)
-
-    def _finish(self, request: Message) -> Spectrum:
-        link = self._open_link()
-        data = link.receive(request).payload
-        if len(data) != METADATA.size + 4 * PIXELS:
-            message = f"{self.name}: sent a spectrum of {len(data)} bytes"
-            raise ProtocolError(message + f"; {METADATA.size + 4 * PIXELS} were expected")
-        count, _, microseconds, _, _ = METADATA.unpack_from(data)
-        counts = np.frombuffer(data, dtype="<u4", offset=METADATA.size).astype(np.uint32)
-        return Spectrum(counts, microseconds / 1e6, count, self._ask(TEMPERATURE, "<f"))
+def _is_older(reading: Reading, newest: Reading | None) -> bool:
+    """Whether a spectrum is from before `newest`, or from before a restart; not whether it is the same again."""
+    if newest is None or (reading.count, reading.tick) == (newest.count, newest.tick):
+        return False
+    return reading.count <= newest.count or reading.tick <= newest.tick
 
 
 class QEProLight:
@@ -231,9 +339,9 @@ class QEProLight:
         self._qepro = qepro
 
     async def set_lamp(self, on: bool) -> None:
-        """Switch the lamp."""
-        await self._qepro.command(LAMP, bytes([on]))
+        """Switch the lamp, and read it back where the firmware can."""
+        await self._qepro.change(LAMP, on)
 
     async def set_shutter(self, is_open: bool) -> None:
-        """Open or close the shutter; a closed shutter gives a dark signal."""
-        await self._qepro.command(SHUTTER, bytes([is_open]))
+        """Open or close the shutter; a closed shutter gives a dark signal. The device cannot tell where it is."""
+        await self._qepro.change(SHUTTER, is_open)

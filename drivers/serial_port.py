@@ -39,7 +39,10 @@ LONGEST_FRAME = 4096
 log = logging.getLogger(__name__)
 
 Missing = Callable[[bytes], int]
-"""How many bytes a reply still lacks that begins with these; 0 when it is whole. Raises `ProtocolError`."""
+"""How many bytes a reply still lacks that begins with these; 0 when it is whole. Raises `ProtocolError`.
+
+Less than 0 when no reply begins like this: the first byte is then dropped, and the rest tried.
+"""
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,8 @@ class SerialPort:
                 if query.wanted(reply):
                     return reply
                 reply, dropped = b"", reply
+            elif missing < 0:
+                reply, dropped = reply[1:], reply
             elif time.monotonic() > deadline:
                 break
             elif len(reply) + missing > LONGEST_FRAME:

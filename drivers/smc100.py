@@ -7,6 +7,7 @@ degrees when the stage is a rotation stage.
 The answer to `VE` (revision) was not checked on a device; it is only shown.
 """
 
+import math
 import re
 
 from drivers.clock import Clock
@@ -17,8 +18,19 @@ from drivers.stage import DIRECTLY, Mounting, Stage
 
 END = b"\r\n"
 """Of every line, either way."""
-NUMBER = re.compile(r"\s*[-+]?\d+(\.\d*)?([eE][-+]?\d+)?\s*")
+NUMBER = rb"\s*[-+]?\d+(\.\d*)?([eE][-+]?\d+)?\s*"
 """How a number is written; "nan" is none."""
+ANSWERS = {
+    "TS": rb"[0-9A-Fa-f]{6}",
+    "TP": NUMBER,
+    "VA": NUMBER,
+    "AC": NUMBER,
+    "TE": rb"[@A-Z]",
+    "VE": rb".*",
+}
+"""What stands behind the address and letters of an answer; one that looks otherwise was spoilt on the line."""
+SAME_SPEED = 1e-3
+"""Relative difference between a velocity and the same one as the controller writes it."""
 RESET_TIME = 15.0
 """Seconds that the controller may take to start again after a reset."""
 
@@ -105,8 +117,8 @@ class SMC100(Stage):
         try:
             await self.state()
             await self._ask("TE")  # forget an error that somebody else left behind
-            self.velocity = await self._ask_number("VA", "?") / self._mounting.scale
-            self.acceleration = await self._ask_number("AC", "?") / self._mounting.scale
+            self.velocity = await self._ask_setting("VA") / self._mounting.scale
+            self.acceleration = await self._ask_setting("AC") / self._mounting.scale
         except DeviceTimeout as error:
             await self.close()
             message = f"{self.name}: no SMC100 with address {self._address} answers at {self._url}"
@@ -123,15 +135,25 @@ class SMC100(Stage):
         """Maker and what the controller says of itself."""
         return f"Newport {(await self._ask('VE')).strip()}"
 
+    async def home(self) -> None:
+        """Find the reference mark and return when it is found; a fault is cleared first.
+
+        Raises `DeviceFault` or `DeviceTimeout` when it is not found.
+        """
+        await super().home()
+        # a reset, or whoever switched the controller off before, has brought back the velocity that it has stored
+        await self.set_velocity(self.velocity)
+
     async def stop(self) -> None:
         """Stop moving at once; a stage that is not moving is left as it is."""
-        self._port.send_now(f"{self._address}ST".encode("ascii") + END)
-        await self._ask("TE")  # some states, in which nothing moves, refuse a stop: forget that
+        stop = f"{self._address}ST".encode("ascii") + END
+        self._port.send_now(stop)
+        # it does no harm twice, and the first may be lost; some states, in which nothing moves, refuse it: forget that
+        query = self._query("TE")
+        await self._port.ask(Query(stop + query.request, query.wanted))
 
     async def _read_state(self) -> StageState:
         reply = await self._ask("TS")
-        if not re.fullmatch("[0-9A-Fa-f]{6}", reply):
-            raise ProtocolError(f"{self.name}: {reply!r} is no SMC100 state; six hexadecimal digits were expected")
         bits, code = int(reply[:4], 16), int(reply[4:], 16)
         position = await self._read_position()
         if bits:
@@ -147,6 +169,10 @@ class SMC100(Stage):
 
     async def _set_velocity(self, velocity: float) -> None:
         await self._command(f"VA{velocity:.5f}")
+        taken = await self._ask_setting("VA")
+        if not math.isclose(taken, velocity, rel_tol=SAME_SPEED):
+            message = f"{self.name}: was told to move at {velocity:g}°/s and reads back {taken:g}°/s; set it again"
+            raise ProtocolError(message)
 
     async def _begin_homing(self) -> None:
         """A controller that has already found its mark, or stands in a fault, is reset: it searches only once."""
@@ -184,15 +210,23 @@ class SMC100(Stage):
         return self._text(await self._port.ask(self._query(letters, parameter), ATTEMPTS), letters)
 
     async def _ask_number(self, letters: str, parameter: str = "") -> float:
-        reply = await self._ask(letters, parameter)
-        if not NUMBER.fullmatch(reply):
-            raise ProtocolError(f"{self.name}: the SMC100 answered {reply!r} to {letters}; a number was expected")
-        return float(reply)
+        return float(await self._ask(letters, parameter))
+
+    async def _ask_setting(self, letters: str) -> float:
+        """A setting above 0. It must come twice, because a digit that was spoilt on the line is a digit still."""
+        first, second = await self._ask_number(letters, "?"), await self._ask_number(letters, "?")
+        if not first == second > 0:
+            raise ProtocolError(
+                f"{self.name}: the SMC100 says that {letters} is {first:g}, then {second:g};"
+                " the same number above 0 was expected twice; check the cable"
+            )
+        return first
 
     def _query(self, letters: str, parameter: str = "") -> Query:
-        """A query; its answer begins with the same address and letters."""
+        """A query; its answer begins with the same address and letters, and goes on as it should."""
         prefix = f"{self._address}{letters}".encode("ascii")
-        return Query(prefix + parameter.encode("ascii") + END, lambda reply: reply.startswith(prefix))
+        answer = re.compile(prefix + ANSWERS[letters] + END)
+        return Query(prefix + parameter.encode("ascii") + END, lambda reply: answer.fullmatch(reply) is not None)
 
     def _text(self, reply: bytes, letters: str) -> str:
         """What stands behind the address and letters of an answer."""

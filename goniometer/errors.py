@@ -12,6 +12,7 @@ GoniometerError
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ReferenceIncomplete   points of the reference scan that failed
 ├── CalibrationError      raw data that cannot be calibrated
+├── BenchUnfit            a device that the doctor would fail
 └── RunAborted            the operator ended the run
 
 Every message is one sentence that says what is wrong, where, and what would be right.
@@ -70,6 +71,14 @@ class ReferenceIncomplete(GoniometerError):
 
 class CalibrationError(GoniometerError):
     """Raw data that cannot be calibrated."""
+
+
+class BenchUnfit(GoniometerError):
+    """Devices are in a state in which nothing should be measured; `lines` says for each what is wrong."""
+
+    def __init__(self, lines: list[str]) -> None:
+        super().__init__("The bench is not fit to measure: " + " | ".join(lines))
+        self.lines = lines
 
 
 class RunAborted(GoniometerError):

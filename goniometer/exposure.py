@@ -124,4 +124,4 @@ async def take(
             break
         probing = False
         time = better
-    return [spectrum, *[await instrument.expose(time) for _ in range(scans - 1)]]
+    return [spectrum, *(await instrument.sequence(time, scans - 1) if scans > 1 else [])]

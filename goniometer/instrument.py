@@ -1,19 +1,46 @@
 """The bench as one object: two rotation stages, a spectrometer and a light, in degrees and seconds.
 
-It knows the device interfaces only, so real and simulated devices behave alike.
+It knows the device interfaces only, so real and simulated devices behave alike. Nothing that a driver returns is
+believed because it came: a stage must say that it is ready before it moves and read back where it was sent, and a
+spectrum must have the integration time, the pixels and the detector temperature that belong to it.
 """
 
 import asyncio
+import logging
+import math
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from typing import Any
 
 from drivers.arrays import FloatArray
 from drivers.clock import Clock
-from drivers.errors import DriverError
-from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum
+from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
+from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
+from goniometer.safety import Forbidden, Limits, check_standing, safe_path
+
+ARRIVAL = 0.1
+"""Degrees between the angle that a stage was sent to and the one that it reads back."""
+
+TWICE = 0.01
+"""Degrees by which two readings of a stage at rest may differ."""
+
+TEMPERATURE_DRIFT = 1.0
+"""Degrees Celsius by which the detector may depart from its first spectrum: darks are shared by a whole scan."""
+
+REST_TIME = 5.0
+"""Seconds in which a stage that was told to stop must rest."""
+
+REST_POLL = 0.05
+"""Seconds between two looks at a stage that should come to rest."""
+
+RECOVERY_PAUSES = (1.0, 5.0, 20.0, 60.0)
+"""Seconds between the attempts to make the devices usable again: a hub comes back at once, a fuse does not."""
+
+_MOVING = {StagePhase.MOVING, StagePhase.HOMING}
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,9 +79,12 @@ class Instrument:
         gain: float,
         u_angle: float = 0.005,
         aperture: float = 1.0,
+        forbidden: tuple[Forbidden, ...] = (),
     ) -> None:
         self.clock = clock
         """The time in which the bench lives."""
+        self.forbidden = forbidden
+        """Where the arm must never be."""
         self._sample_stage = sample_stage
         self._detector_stage = detector_stage
         self._spectrometer = spectrometer
@@ -66,6 +96,15 @@ class Instrument:
         self._sample_target: float | None = None
         self._detector_target: float | None = None
         self._shutter_open: bool | None = None
+        self._last_count: int | None = None
+        # None until the first spectrum; they stay when devices are reopened, as the scan goes on
+        self._pixels: int | None = None
+        self._temperature: float | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """Where the sample stage and the detector stage may stand, degrees."""
+        return self._sample_stage.limits, self._detector_stage.limits
 
     @property
     def integration_limits(self) -> tuple[float, float]:
@@ -78,14 +117,25 @@ class Instrument:
         return self._spectrometer.saturation
 
     async def open(self) -> None:
-        """Connect to all devices, switch the lamp on and find both reference marks."""
+        """Connect to all devices, switch the lamp on and find both reference marks.
+
+        Where regions are forbidden the detector stage is homed first, then the sample stage. No path to the marks can
+        be checked, because nobody knows where it begins: look before the stages are homed. Raises `GeometryError`
+        where the marks lie in a forbidden region.
+        """
+        self._forget()
         await self._spectrometer.open()
         await self._sample_stage.open()
         await self._detector_stage.open()
         await self._set_shutter(False)
         await self._light.set_lamp(True)
-        self._forget_targets()
-        await _both(_home(self._sample_stage), _home(self._detector_stage))
+        if self.forbidden:
+            detector = await _home(self._detector_stage)
+            sample = await _home(self._sample_stage)
+            unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
+            check_standing((sample, detector), (unbounded, unbounded), self.forbidden)
+        else:
+            await _both(_home(self._sample_stage), _home(self._detector_stage))
 
     async def constants(self) -> Constants:
         """What the devices say about themselves, with the configured values."""
@@ -102,78 +152,184 @@ class Instrument:
         )
 
     def check(self, geometry: Geometry) -> None:
-        """Raise `GeometryError` where the bench, its stages or the blocked sector forbid `geometry`."""
+        """Raise `GeometryError` where the bench, its stages, a region or the blocked sector forbid `geometry`."""
         check(geometry)
+        where = f"theta_in = {geometry.theta_in:g}, theta_out = {geometry.theta_out:g} deg"
         if geometry.blocked:
             raise GeometryError(
-                f"theta_in = {geometry.theta_in:g}, theta_out = {geometry.theta_out:g} deg is not possible: "
-                f"the detector would stand in the beam; keep 5 deg away from the source axis"
+                f"{where} is not possible: the detector would stand in the beam; keep 5 deg away from the source axis"
             )
-        for stage, angle in (
-            (self._sample_stage, geometry.sample_angle),
-            (self._detector_stage, geometry.detector_angle),
-        ):
-            low, high = stage.limits
-            if not low <= angle <= high:
-                raise GeometryError(
-                    f"theta_in = {geometry.theta_in:g}, theta_out = {geometry.theta_out:g} deg is not possible: "
-                    f"the {stage.name} would have to stand at {angle:g} deg, outside {low:g} to {high:g} deg"
-                )
+        try:
+            check_standing((geometry.sample_angle, geometry.detector_angle), self.limits, self.forbidden)
+        except GeometryError as error:
+            raise GeometryError(f"{where}: {error}") from None
 
     async def goto(self, geometry: Geometry) -> Geometry:
-        """Move both stages at once, each only if it must, and return the geometry that they read back."""
+        """Move the stages, each only if it must, and return the geometry that they read back.
+
+        Both move at once where no forbidden region lies between, else one after the other. Raises `GeometryError`
+        before anything moves where the arm cannot go; `DeviceFault` where a stage is not ready, e.g. because it was
+        switched off and on between two points, or does not read back where it was sent; `ProtocolError` where it
+        reads two different angles at rest.
+        """
         self.check(geometry)
-        sample_from, detector_from = self._sample_target, self._detector_target
+        wanted = geometry.sample_angle, geometry.detector_angle
+        targets = self._sample_target, self._detector_target
         self._forget_targets()
-        sample, detector = await _both(
-            _settle(self._sample_stage, sample_from, geometry.sample_angle),
-            _settle(self._detector_stage, detector_from, geometry.detector_angle),
-        )
-        self._sample_target, self._detector_target = geometry.sample_angle, geometry.detector_angle
-        return from_stages(sample, detector)
+        here = await _both(_ready(self._sample_stage), _ready(self._detector_stage))
+        for stop in safe_path(here, wanted, self.forbidden):
+            # on the way only the stage moves whose turn it is; in the end each that was not sent there before
+            stays = [targets[axis] == wanted[axis] if stop == wanted else stop[axis] == here[axis] for axis in range(2)]
+            reached = await _both(
+                _settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
+                _settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
+            )
+            targets = (
+                targets[0] if stays[0] else stop[0],
+                targets[1] if stays[1] else stop[1],
+            )
+            here = reached
+        self._sample_target, self._detector_target = wanted
+        return from_stages(*here)
 
     async def expose(self, integration_time: float) -> Spectrum:
-        """One spectrum with the shutter open; `integration_time` in seconds."""
+        """One spectrum with the shutter open; `integration_time` in seconds.
+
+        Raises `ProtocolError` for a spectrum that cannot be the one that was asked for, and `DeviceFault` where the
+        detector is not as warm as it was.
+        """
         await self._set_shutter(True)
-        return await self._spectrometer.expose(integration_time)
+        return await self._checked(await self._spectrometer.expose(integration_time), integration_time)
+
+    async def sequence(self, integration_time: float, scans: int) -> list[Spectrum]:
+        """`scans` spectra in a row with the shutter open; `integration_time` in seconds. Raises as `expose` does."""
+        await self._set_shutter(True)
+        spectra = await self._spectrometer.sequence(integration_time, scans)
+        if len(spectra) != scans:
+            raise ProtocolError(f"{self._spectrometer.name}: delivered {len(spectra)} spectra where {scans} were asked")
+        return [await self._checked(spectrum, integration_time) for spectrum in spectra]
 
     async def dark(self, integration_time: float) -> Spectrum:
-        """One spectrum with the shutter closed; `integration_time` in seconds."""
+        """One spectrum with the shutter closed; `integration_time` in seconds. Raises as `expose` does."""
         await self._set_shutter(False)
-        return await self._spectrometer.expose(integration_time)
+        return await self._checked(await self._spectrometer.expose(integration_time), integration_time)
 
     async def safe(self) -> None:
-        """Stop both stages and close the shutter; every device is tried, then the first fault is raised."""
-        self._forget_targets()
-        self._shutter_open = None
-        faults: list[DriverError] = []
-        for action in (self._sample_stage.stop, self._detector_stage.stop, self._close_shutter):
-            try:
-                await action()
-            except DriverError as error:
-                faults.append(error)
+        """Bring the bench into its safe state: stages stopped, shutter closed; the lamp stays on, to stay warm.
+
+        The stops are sent at once and before all else; that the stages rest is seen afterwards. Every device is
+        tried and every fault logged, then the first one is raised. `DeviceTimeout` where a stage goes on moving.
+        """
+        self._forget()
+        stages = self._sample_stage, self._detector_stage
+        # tasks begin in this order, and a stop is on the wire before it first waits
+        faults = await _faults(*(stage.stop() for stage in stages), self._set_shutter(False))
+        faults += await _faults(*(self._rest(stage) for stage in stages))
         if faults:
             raise faults[0]
 
+    async def recover(self) -> None:
+        """Make every device usable again after a fault; the shutter is closed then, and the lamp on.
+
+        The spectrometer is reopened, which cools it; so is a stage that does not answer; one that is not ready is
+        homed. This is tried once, and again after each of `RECOVERY_PAUSES`; then what is wrong is raised.
+        """
+        for pause in RECOVERY_PAUSES:
+            try:
+                return await self._revive()
+            except DriverError as error:
+                log.warning("%s (trying again in %g s)", error, pause)
+                await self.clock.sleep(pause)
+        return await self._revive()
+
     async def close(self) -> None:
-        """Disconnect from all devices; harmless when not connected."""
-        self._forget_targets()
-        self._shutter_open = None
-        await self._sample_stage.close()
-        await self._detector_stage.close()
-        await self._spectrometer.close()
+        """Disconnect from all devices; harmless when not connected. Every device is tried."""
+        self._forget()
+        faults = await _faults(self._sample_stage.close(), self._detector_stage.close(), self._spectrometer.close())
+        if faults:
+            raise faults[0]
 
     def _forget_targets(self) -> None:
         self._sample_target = self._detector_target = None
 
-    async def _close_shutter(self) -> None:
-        await self._set_shutter(False)
+    def _forget(self) -> None:
+        """Nothing is known of the devices any more."""
+        self._forget_targets()
+        self._shutter_open = None
+        self._last_count = None
 
     async def _set_shutter(self, is_open: bool) -> None:
         if self._shutter_open is not is_open:
             self._shutter_open = None
             await self._light.set_shutter(is_open)
             self._shutter_open = is_open
+
+    async def _checked(self, spectrum: Spectrum, integration_time: float) -> Spectrum:
+        """`spectrum`, if it can be the one that was asked for: the last look before it is stored."""
+        name = self._spectrometer.name
+        if self._pixels is None:
+            self._pixels = len(await self._spectrometer.wavelengths())
+        if round(spectrum.integration_time * 1e6) != round(integration_time * 1e6):
+            raise ProtocolError(
+                f"{name}: delivered a spectrum of {spectrum.integration_time:g} s where {integration_time:g} s were "
+                f"asked; switch it off and on"
+            )
+        if spectrum.counts.shape != (self._pixels,):
+            raise ProtocolError(
+                f"{name}: delivered counts of shape {spectrum.counts.shape}; {self._pixels} pixels were expected"
+            )
+        if spectrum.count == self._last_count:
+            raise ProtocolError(f"{name}: delivered spectrum number {spectrum.count} twice; switch it off and on")
+        if self._temperature is None:
+            self._temperature = spectrum.detector_temperature
+        if not abs(spectrum.detector_temperature - self._temperature) <= TEMPERATURE_DRIFT:  # also no number
+            raise DeviceFault(
+                f"{name}: the detector is at {spectrum.detector_temperature:.1f} °C, and was at "
+                f"{self._temperature:.1f} °C before; let the cooler settle"
+            )
+        self._last_count = spectrum.count
+        return spectrum
+
+    async def _rest(self, stage: RotationStage) -> None:
+        """Return when `stage` rests. One that still moves is told to stop again.
+
+        A command that another task had given before may have reached the device after the stop.
+        """
+        begin = self.clock.now()
+        while (state := await stage.state()).phase in _MOVING:
+            if self.clock.now() - begin > REST_TIME:
+                raise DeviceTimeout(
+                    f"{stage.name}: is still {state.phase.value} {REST_TIME:g} s after it was stopped; switch it off"
+                )
+            await stage.stop()
+            await self.clock.sleep(REST_POLL)
+
+    async def _revive(self) -> None:
+        """One attempt to make every device usable."""
+        self._forget()
+        await self._spectrometer.open()
+        await self._set_shutter(False)
+        await self._light.set_lamp(True)
+        for stage in (self._detector_stage, self._sample_stage):
+            try:
+                state = await stage.state()
+            except DriverError as error:
+                log.warning("%s (reopening it)", error)
+                await stage.close()
+                await stage.open()
+                state = await stage.state()
+            if state.phase in _MOVING:
+                await self._rest(stage)
+                state = await stage.state()
+            if state.phase is not StagePhase.READY:
+                log.warning("%s (homing it)", _not_ready(stage, state))
+                await stage.home()
+
+
+def _not_ready(stage: RotationStage, state: StageState) -> str:
+    """What is wrong with a stage that is not ready, as a sentence."""
+    why = f" ({state.message})" if state.message else ""
+    return f"{stage.name}: is {state.phase.value}{why}, not ready; was it switched off? Home it"
 
 
 async def _home(stage: RotationStage) -> float:
@@ -182,9 +338,29 @@ async def _home(stage: RotationStage) -> float:
     return await stage.position()
 
 
-async def _settle(stage: RotationStage, target: float | None, wanted: float) -> float:
-    """Bring one stage to `wanted` unless it was sent there already; returns the angle read back."""
-    return await stage.position() if target == wanted else await stage.move_to(wanted)
+async def _ready(stage: RotationStage) -> float:
+    """Where a stage rests, ready to move; raises `DeviceFault` where it is not."""
+    state = await stage.state()
+    if state.phase is not StagePhase.READY:
+        raise DeviceFault(_not_ready(stage, state))
+    return state.position
+
+
+async def _settle(stage: RotationStage, here: float, wanted: float, *, stays: bool) -> float:
+    """Bring one stage from `here` to `wanted`, unless it stays; returns the angle read back."""
+    if stays and abs(here - wanted) > ARRIVAL:
+        log.warning("%s: reads %.3f° where it was left at %.3f°; moving it back", stage.name, here, wanted)
+        stays = False
+    reached = await stage.position() if stays else await stage.move_to(wanted)
+    if stays and abs(reached - here) > TWICE:
+        raise ProtocolError(
+            f"{stage.name}: reads {here:.3f}° and then {reached:.3f}° at rest; check the cable and the brake"
+        )
+    if not abs(reached - wanted) <= ARRIVAL:  # also where it is no number
+        raise DeviceFault(
+            f"{stage.name}: reads {reached:.3f}° where it was sent to {wanted:.3f}°; look for an obstacle"
+        )
+    return reached
 
 
 async def _both(first: Coroutine[Any, Any, float], second: Coroutine[Any, Any, float]) -> tuple[float, float]:
@@ -195,3 +371,15 @@ async def _both(first: Coroutine[Any, Any, float], second: Coroutine[Any, Any, f
     if isinstance(results[1], BaseException):
         raise results[1]
     return results[0], results[1]
+
+
+async def _faults(*actions: Coroutine[Any, Any, None]) -> list[DriverError]:
+    """Begin all actions in this order, wait for all, and return what went wrong; what is no fault is raised."""
+    faults: list[DriverError] = []
+    for result in await asyncio.gather(*actions, return_exceptions=True):
+        if isinstance(result, DriverError):
+            log.warning("%s", result)
+            faults.append(result)
+        elif result is not None:
+            raise result
+    return faults

@@ -15,6 +15,9 @@ Pausing takes effect after the point in hand, aborting at once. Cancelling the t
 emergency stop: stages stopped, shutter closed, scan aborted. An aborted or failed scan, and one whose process
 was killed, goes on where it stood when its campaign is run again; a completed one is not repeated.
 
+After every fault of a device the bench is made safe and then usable again (`Instrument.recover`), and the point is
+tried again. The scan fails when the bench cannot be recovered, or when points fail one after the other.
+
 Everything that decides what happens next is read from the database. A batch of the plan is written before its
 first point is measured and a point together with its exposures, so a resumed scan measures the same
 directions with the same integration times as one that was never interrupted.
@@ -22,13 +25,15 @@ directions with the same integration times as one that was never interrupted.
 
 import asyncio
 import contextlib
+import logging
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import FloatArray
-from drivers.errors import DeviceDisconnected, DeviceNotFound, DriverError
+from drivers.errors import DriverError
 from goniometer.calibration import Response, band_values, certificate_of, read_raw, response
 from goniometer.campaign import Campaign
 from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
@@ -38,6 +43,7 @@ from goniometer.instrument import Instrument
 from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points
 from goniometer.progress import Progress
 from goniometer.records import Outcome, Phase, Point, Scan
+from goniometer.safety import check_plan
 from goniometer.store import Store
 
 ATTEMPTS = 3
@@ -49,15 +55,20 @@ FAILURES_IN_A_ROW = 3
 DARKS = 4
 """Dark spectra of each integration time."""
 
-POLL = 0.2
+POLL = 0.05
 """Seconds of real time between two looks for a command."""
+
+LETTING_GO = 10.0
+"""Seconds of real time that work which was cancelled may take to end; then it is left behind."""
 
 TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse sweep, before anything is known about it."""
 
 _ABORTED = "The operator aborted it; run the campaign again to go on where it stood."
 
-Mount = Callable[[Scan], Awaitable[None]]
+log = logging.getLogger(__name__)
+
+Mount = Callable[[Scan], Coroutine[Any, Any, None]]
 """Called before a scan; returns when its sample, or the reference panel, lies on the bench."""
 Report = Callable[[Progress], None]
 """Called at every change; must return soon."""
@@ -76,11 +87,12 @@ async def run_campaign(
     The caller must hold `store.exclusive()`: whatever the database calls running then has lost its process.
     `on_scan_finished` is called once the scan of a sample is complete, and for one that was complete before but
     has no dataset, so that no fit is lost to a crash in between. Raises `CampaignError` (changed content or
-    certificate, impossible integration times), `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what
-    stopped the campaign: `DriverError`, `StoreFull`, ...
+    certificate, impossible integration times), `GeometryError` (directions that the bench cannot take), `RunAborted`
+    (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign: `DriverError`, `StoreFull`, ...
     """
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
+    check_plan(plan_spec(campaign), instrument.limits, instrument.forbidden)
     campaign_id = store.add_campaign(campaign)
     for scan in store.scans(campaign_id):
         if scan.outcome != "completed":
@@ -102,7 +114,7 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
     store.clear_command(scan_id)
     store.set_phase(scan_id, "running")
     try:
-        await _unless_aborted(store, scan_id, mount(scan))
+        await run.unless_aborted(mount(scan))
         await run.measure()
         await instrument.safe()
     except BaseException as error:
@@ -125,21 +137,6 @@ def _ending(error: BaseException) -> tuple[Outcome, str]:
     if isinstance(error, asyncio.CancelledError | KeyboardInterrupt):
         return "aborted", "It was stopped at once."
     return "failed", str(error) or type(error).__name__
-
-
-async def _unless_aborted(store: Store, scan_id: int, work: Awaitable[None]) -> None:
-    """Wait for `work`, but cancel it and raise `RunAborted` as soon as an abort is asked for."""
-    task = asyncio.ensure_future(work)
-    try:
-        while not task.done():
-            await asyncio.wait({task}, timeout=POLL)
-            if not task.done() and store.command(scan_id) == "abort":
-                raise RunAborted(_ABORTED)
-    finally:
-        if not task.done():
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
-    task.result()
 
 
 class _Run:
@@ -172,7 +169,7 @@ class _Run:
                 failure = await self._attempt(point)
                 self.done += 1
                 self.failed += failure is not None
-                failures = failures + 1 if isinstance(failure, DriverError) else 0
+                failures = failures + 1 if failure else 0
                 if failure and failures >= FAILURES_IN_A_ROW:
                     raise failure
                 self.tell("running", point.geometry)
@@ -270,12 +267,32 @@ class _Run:
             return round(TYPICAL_REFINEMENT * coarse)
         return round(sum(len(self.store.points(s.id)) for s in others) / len(others))
 
+    async def unless_aborted(self, work: Coroutine[Any, Any, None]) -> None:
+        """Wait for `work`, but cancel it and raise `RunAborted` as soon as an abort is asked for."""
+        task = asyncio.create_task(work)
+        try:
+            while not task.done():
+                await asyncio.wait({task}, timeout=POLL)
+                if not task.done() and self.store.command(self.scan.id) == "abort":
+                    raise RunAborted(_ABORTED)
+        finally:
+            if not task.done():
+                task.cancel()
+                # at once, not when the work has ended: a device that it waits for may be slow to let go
+                with contextlib.suppress(DriverError):
+                    await self.instrument.safe()
+                await asyncio.wait({asyncio.gather(task, return_exceptions=True)}, timeout=LETTING_GO)
+        task.result()
+
     async def _obey(self) -> None:
         """Do what was asked for between two points: pause until resumed, or raise `RunAborted`."""
         command = self.store.command(self.scan.id)
         if command == "pause":
-            self.store.clear_command(self.scan.id)
-            await self.instrument.safe()
+            self.store.clear_command(self.scan.id, command)
+            try:
+                await self.instrument.safe()
+            except DriverError:  # which it has logged
+                await self.unless_aborted(self.instrument.recover())
             self.store.set_phase(self.scan.id, "paused")
             self.tell("paused")
             # Another process answers, so there is no event to wait for.
@@ -284,29 +301,36 @@ class _Run:
         if command == "abort":
             raise RunAborted(_ABORTED)
         if command == "resume":
-            self.store.clear_command(self.scan.id)
+            self.store.clear_command(self.scan.id, command)
             self.store.set_phase(self.scan.id, "running")
 
     async def _attempt(self, point: Point) -> DriverError | GeometryError | None:
         """Measure a point, trying again after a fault; returns why it was given up, or None.
 
-        Raises `DriverError` where a device is gone.
+        Raises `DriverError` where the bench cannot be made usable again.
         """
         fault: DriverError | None = None
-        for _ in range(ATTEMPTS):
+        for attempt in range(1, ATTEMPTS + 1):
             self.store.start_point(point.id)
             try:
-                await _unless_aborted(self.store, self.scan.id, self._measure_point(point))
+                await self.unless_aborted(self._measure_point(point))
             except GeometryError as error:
                 self.store.give_up_point(point.id, "skipped", str(error))
                 return error
-            except (DeviceDisconnected, DeviceNotFound):
-                raise
             except DriverError as error:
                 fault = error
-                # The next attempt meets again whatever is wrong now; what is told is why this one failed.
+                log.warning(
+                    "theta_in = %g, theta_out = %g deg, attempt %d of %d: %s",
+                    point.geometry.theta_in,
+                    point.geometry.theta_out,
+                    attempt,
+                    ATTEMPTS,
+                    error,
+                )
+                # Recovery meets again whatever is wrong now; what is told is why this attempt failed.
                 with contextlib.suppress(DriverError):
                     await self.instrument.safe()
+                await self.unless_aborted(self.instrument.recover())
             else:
                 return None
         self.store.give_up_point(point.id, "failed", str(fault))

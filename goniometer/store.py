@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import case, delete, func, insert, select, update
+from sqlalchemy import case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -162,7 +162,7 @@ class Store(Database):
     def request(self, scan_id: int, command: Command) -> None:
         """Ask the process that runs a scan to pause (after the point in hand), to resume, or to abort (at once).
 
-        Raises `NotInStore` where the scan is not being run.
+        Nothing takes back an abort. Raises `NotInStore` where the scan is not being run, or is being aborted.
         """
         if not self.in_use():
             raise NotInStore(
@@ -178,9 +178,12 @@ class Store(Database):
             asked = connection.execute(
                 update(tables.scans)
                 .where(here.id == scan_id, here.phase.not_in(("idle", "finished")))
+                .where(or_(literal(command == "abort"), here.command.is_distinct_from("abort")))
                 .values(command=command, phase=phase)
             )
         if asked.rowcount == 0:
+            if self.command(scan_id) == "abort":
+                raise NotInStore(f"Scan {scan_id} is being aborted, so it cannot {command}; run its campaign again")
             raise NotInStore(f"Scan {scan_id} is not running, so it cannot {command}; name a scan that is running")
 
     def command(self, scan_id: int) -> Command | None:
@@ -191,9 +194,15 @@ class Store(Database):
             ).scalar()
             return command
 
-    def clear_command(self, scan_id: int) -> None:
-        """Note that a command has been taken up."""
-        self._update(tables.scans, scan_id, command=None)
+    def clear_command(self, scan_id: int, taken: Command | None = None) -> None:
+        """Note that the command `taken` has been taken up, and leave one that came meanwhile; None clears any."""
+        here = tables.scans.c
+        with self._writing() as connection:
+            connection.execute(
+                update(tables.scans)
+                .where(here.id == scan_id, literal(taken is None) | (here.command == taken))
+                .values(command=None)
+            )
 
     def save_constants(self, scan_id: int, constants: Constants) -> None:
         """Write what calibration needs to know about the devices.

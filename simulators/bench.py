@@ -97,13 +97,12 @@ class OpticalBench:
         seed: int,
         sample_axis: Standing,
         detector_axis: Standing,
-        sensor_temperature: float = -10.0,
         lamp_drift: float = 0.0,
     ) -> None:
         """Set the bench up with nothing mounted.
 
-        `sensor_temperature` in degrees Celsius. `lamp_drift` is the relative amplitude of a slow sine of the
-        lamp's output over the clock's time; with drift a resumed measurement is no longer the same bit by bit.
+        `lamp_drift` is the relative amplitude of a slow sine of the lamp's output over the clock's time; with drift
+        a resumed measurement is no longer the same bit by bit.
         """
         self._clock = clock
         self._seed = seed
@@ -111,7 +110,7 @@ class OpticalBench:
         self._lamp_drift = lamp_drift
         self._wavelengths = _polynomial(np.arange(PIXELS, dtype=float), WAVELENGTH_COEFFICIENTS)
         self._throughput = _throughput(self._wavelengths)
-        self._dark_rate = dark_rate(sensor_temperature) * _generator(seed, "dark current").lognormal(0, 0.3, PIXELS)
+        self._dark_pattern = _generator(seed, "dark current").lognormal(0, 0.3, PIXELS)
         self._offset = OFFSET + _generator(seed, "offset").normal(0, 5, PIXELS)
         self._mounted: Material | Panel | None = None
         self._identical: Counter[tuple[object, ...]] = Counter()
@@ -127,8 +126,13 @@ class OpticalBench:
         self._mounted, self._seen = material(material_name), None
         self._identical = Counter()
 
-    def read_out(self, integration_time: float, *, shutter_open: bool, lamp_on: bool) -> CountArray:
-        """[pixels] raw counts after `integration_time` seconds, with everything standing as it does now."""
+    def read_out(
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+    ) -> CountArray:
+        """[pixels] raw counts after `integration_time` seconds, with everything standing as it does now.
+
+        `sensor_temperature` in degrees Celsius sets the dark current.
+        """
         sample, detector = (round(axis.true_position() * _ANGLE_STEPS) for axis in self._axes)
         microseconds = round(integration_time * 1e6)
         key = (self._seed, self.mounted, sample, detector, microseconds, shutter_open, lamp_on)
@@ -138,7 +142,8 @@ class OpticalBench:
         if shutter_open and lamp_on:
             geometry = from_stages(sample / _ANGLE_STEPS, detector / _ANGLE_STEPS)
             light = random.poisson(GAIN * integration_time * self._light(geometry)) / GAIN
-        dark = random.poisson(GAIN * integration_time * self._dark_rate) / GAIN
+        dark_current = dark_rate(sensor_temperature) * self._dark_pattern
+        dark = random.poisson(GAIN * integration_time * dark_current) / GAIN
         counts = _as_read(light) + dark + self._offset + random.normal(0, READ_NOISE, PIXELS)
         return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.uint32)
 

@@ -1,22 +1,39 @@
 """The simulated laboratory: three devices that answer on the wire and one optical bench behind them.
 
-The demo bench has a Newport SMC100 as sample stage, an Oriental AZ as detector stage and a QE Pro.
+Its stages may be of any family. The demo bench has a Newport SMC100 as sample stage, an Oriental AZ as detector
+stage and a QE Pro.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from usb.backend import IBackend
 
 from simulators.bench import GAIN, OpticalBench, positioning_error
 from simulators.clock import SimulatedClock
+from simulators.k10cr1 import SimulatedK10CR1
 from simulators.motion import Axis
 from simulators.oriental_az import SimulatedOrientalAZ
+from simulators.owis import SimulatedOwisPS
 from simulators.qepro import SimulatedQEPro
 from simulators.smc100 import SimulatedSMC100
 
 SERIAL_NUMBER = "QEP00001"
+STAGES = ("smc100", "oriental-az")
+"""Families of the sample and of the detector stage of the demo bench."""
+COUNTS_PER_DEGREE = 1000.0
+"""Of a simulated OWIS stage."""
+
+SimulatedStage = SimulatedSMC100 | SimulatedOrientalAZ | SimulatedOwisPS | SimulatedK10CR1
+
+FAMILIES: dict[str, Callable[[Axis, SimulatedClock], SimulatedStage]] = {
+    "smc100": lambda axis, _: SimulatedSMC100(axis),
+    "oriental-az": lambda axis, _: SimulatedOrientalAZ(axis),
+    "owis": lambda axis, clock: SimulatedOwisPS([axis], clock, counts_per_degree=COUNTS_PER_DEGREE),
+    "k10cr1": lambda axis, _: SimulatedK10CR1(axis),
+}
+"""What makes a stage of each family, as an instrument file calls its driver."""
 
 
 @dataclass(frozen=True)
@@ -25,21 +42,33 @@ class Laboratory:
 
     clock: SimulatedClock
     bench: OpticalBench
+    families: tuple[str, str]
+    """Of the sample and of the detector stage, as an instrument file calls their drivers."""
+    sample_stage: SimulatedStage
+    """With its fault script."""
+    detector_stage: SimulatedStage
+    """With its fault script."""
+    spectrometer: SimulatedQEPro
+    """With its fault script."""
     sample_stage_url: str
-    """Of the SMC100, for `serial.serial_for_url`."""
+    """For its driver."""
     detector_stage_url: str
-    """Of the Oriental AZ, tcp://host:port."""
-    usb_backend: IBackend
-    """A pyusb backend on which the QE Pro is plugged in."""
+    """For its driver."""
     gain: float
     """Electrons per count of the QE Pro, as its data sheet would say."""
 
+    @property
+    def usb_backend(self) -> IBackend:
+        """A pyusb backend on which the QE Pro is plugged in."""
+        return self.spectrometer
+
 
 @contextmanager
-def simulated_laboratory(seed: int) -> Iterator[Laboratory]:
+def simulated_laboratory(seed: int, stages: tuple[str, str] = STAGES) -> Iterator[Laboratory]:
     """Switch on the simulated devices; they are gone when the context ends.
 
-    The same `seed` gives the same noise and the same positioning errors, whatever happened before.
+    The same `seed` gives the same noise and the same positioning errors, whatever happened before. `stages` are the
+    families of the sample and of the detector stage, keys of `FAMILIES`.
     """
     clock = SimulatedClock()
     sample_error, detector_error = (positioning_error(seed, f"{stage} stage") for stage in ("sample", "detector"))
@@ -60,15 +89,21 @@ def simulated_laboratory(seed: int) -> Iterator[Laboratory]:
         positioning_error=lambda target: detector_error(target, bench.mounted, round(sample_axis.position(), 4)),
     )
     bench = OpticalBench(clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis)
-    sample_stage = SimulatedSMC100(sample_axis)
-    detector_stage = SimulatedOrientalAZ(detector_axis)
     spectrometer = SimulatedQEPro(bench, clock, serial_number=SERIAL_NUMBER)
-    url = sample_stage.start()
-    try:
-        host, port = detector_stage.start()
-        try:
-            yield Laboratory(clock, bench, url, f"tcp://{host}:{port}", spectrometer, GAIN)
-        finally:
-            detector_stage.close()
-    finally:
-        sample_stage.close()
+    with ExitStack() as switched_on:
+        sample_stage, detector_stage = (
+            FAMILIES[family](axis, clock) for family, axis in zip(stages, (sample_axis, detector_axis), strict=True)
+        )
+        switched_on.callback(sample_stage.close)
+        switched_on.callback(detector_stage.close)
+        yield Laboratory(
+            clock=clock,
+            bench=bench,
+            families=stages,
+            sample_stage=sample_stage,
+            detector_stage=detector_stage,
+            spectrometer=spectrometer,
+            sample_stage_url=sample_stage.start(),
+            detector_stage_url=detector_stage.start(),
+            gain=GAIN,
+        )

@@ -4,61 +4,47 @@ import re
 from collections.abc import Callable
 
 from simulators.motion import Axis
-from simulators.wire import ByteServer, WireFaults
+from simulators.wire import ByteServer, lines
 
 NOT_REFERENCED, HOMING, MOVING, READY, DISABLED = "0A", "1E", "28", "32", "3C"
 STATE_ERRORS = {NOT_REFERENCED: "H", HOMING: "L", MOVING: "M", READY: "K", DISABLED: "J"}
 """The `TE` code of a command that its state does not allow."""
+FOLLOWING_ERROR = 0x20
+"""The error bit of `TS` for a motor that does not follow."""
 
 
-class SimulatedSMC100:
-    """One controller with address 1 and an axis in degrees; it wakes up not referenced, as after power-up."""
+class SimulatedSMC100(ByteServer):
+    """One controller and an axis in degrees; it wakes up not referenced, as after power-up.
+
+    The speed that the axis has when the controller is made is the stored one, to which each restart returns. After
+    a restart the reading counts from where the stage stands, until the reference mark is found.
+    """
 
     def __init__(self, axis: Axis, *, address: int = 1) -> None:
+        super().__init__("simulated SMC100")
         self._axis = axis
         self._address = address
-        self._server = ByteServer("simulated SMC100", self._receive)
-        self._buffer = b""
+        self._stored_speed = axis.velocity, axis.acceleration
+        self._encoder_error = 0.0
+        self._counts_from = 0.0
+        self._slowness = 1.0
+        self._wake_up()
+
+    def _wake_up(self) -> None:
+        self._velocity, self._acceleration = self._stored_speed
+        self._soft_limits = self._axis.limits
         self._resting_state = NOT_REFERENCED
-        self._last_error = "@"
         self._fault_bits = 0
-        self._obstacle: tuple[float, int] | None = None
-        self._soft_limits = axis.limits
+        self._last_error = "@"
+        self._refusing = False
 
-    @property
-    def wire(self) -> WireFaults:
-        """What the line does to replies."""
-        return self._server.faults
+    def split_requests(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Lines end with CR LF."""
+        return lines(data, b"\r\n")
 
-    def start(self) -> str:
-        """Begin to listen and return the URL for pyserial."""
-        return self._server.start()
-
-    def unplug(self) -> None:
-        """Drop the connection; `start` plugs it in again under the same URL."""
-        self._server.unplug()
-
-    def close(self) -> None:
-        """End the simulator."""
-        self._server.close()
-
-    def fail(self, bits: int) -> None:
-        """Stop with the error `bits` of the `TS` reply, disabled, until a reset."""
-        self._axis.stop()
-        self._fault_bits = bits
-        self._resting_state = DISABLED
-
-    def fail_beyond(self, angle: float, bits: int) -> None:
-        """Fail as soon as somebody looks while the stage is beyond `angle` degrees, once."""
-        self._obstacle = (angle, bits)
-
-    def _receive(self, data: bytes) -> bytes:
-        """Take bytes as they come and return the replies to the lines they complete."""
-        *lines, self._buffer = (self._buffer + data).split(b"\r\n")
-        return b"".join(self._answer(line.decode("ascii", errors="replace")) for line in lines)
-
-    def _answer(self, line: str) -> bytes:
-        """Reply to one line; whatever follows one command is ignored."""
+    def answer(self, request: bytes) -> bytes:
+        """Reply to one line; a command has no reply, and whatever follows it in its line is ignored."""
+        line = request.decode("ascii", errors="replace")
         match = re.match(r"(\d+)([A-Z]{2})(\?|[-+]?\d*\.?\d*)", line)
         if match is None:
             self._last_error = "A"
@@ -74,28 +60,48 @@ class SimulatedSMC100:
             return b""
         return f"{address}{command}{reply}\r\n".encode("ascii")
 
+    def refuse(self) -> None:
+        """Refuse the next command as one that is not allowed (D)."""
+        self._refusing = True
+
+    def restart(self) -> None:
+        """Wake up as after switching off and on: not referenced, with the stored speed and limits."""
+        self._axis.stop()
+        self._counts_from = self._axis.position()
+        self._wake_up()
+
+    def jam(self) -> None:
+        """Stop with a following error, disabled, until a restart or a reset."""
+        self._axis.stop()
+        self._fault_bits = FOLLOWING_ERROR
+        self._resting_state = DISABLED
+
+    def drift(self, degrees: float = 0.5) -> None:
+        """Read `degrees` too much from now on, although the motor goes where it should."""
+        self._encoder_error = degrees
+
+    def slow(self, factor: float = 10.0) -> None:
+        """Let each motion from now on take `factor` times as long as the settings say."""
+        self._slowness = factor
+
     def _state(self) -> str:
-        if self._obstacle and self._axis.position() > self._obstacle[0]:
-            bits, self._obstacle = self._obstacle[1], None
-            self.fail(bits)
         if self._axis.homing():
             return HOMING
         return MOVING if self._axis.moving() else self._resting_state
 
     def _query(self, command: str, parameter: str) -> str | None:
         """The answer to a query, or None when it is none."""
-        axis = self._axis
         if command == "TE":
             error, self._last_error = self._last_error, "@"
             return error
         queries: dict[str, Callable[[], str]] = {
             "TS": lambda: f"{self._fault_bits:04X}{self._state()}",
-            "TP": lambda: f"{axis.position():.5f}",
+            "TP": lambda: f"{self._reading():.5f}",
             "VE": lambda: " SMC100CC simulated",
         }
         settings: dict[str, Callable[[], str]] = {
-            "VA": lambda: f"{axis.velocity:g}",
-            "AC": lambda: f"{axis.acceleration:g}",
+            "VA": lambda: f"{self._velocity:g}",
+            "AC": lambda: f"{self._acceleration:g}",
             "SL": lambda: f"{self._soft_limits[0]:g}",
             "SR": lambda: f"{self._soft_limits[1]:g}",
         }
@@ -105,14 +111,17 @@ class SimulatedSMC100:
 
     def _obey(self, command: str, parameter: str) -> str:
         """Carry out a command and return its `TE` code."""
+        if self._refusing:
+            self._refusing = False
+            return "D"
         if command in {"OR", "ST", "RS"}:
             return {"OR": self._home, "ST": self._stop, "RS": self._reset}[command]()
         commands: dict[str, Callable[[float], str]] = {
             "PA": self._move,
-            "PR": lambda way: self._move(self._axis.position() + way),
+            "PR": lambda way: self._move(self._reading() + way),
             "MM": self._enable,
-            "VA": lambda value: self._set_speed("velocity", value),
-            "AC": lambda value: self._set_speed("acceleration", value),
+            "VA": self._set_velocity,
+            "AC": self._set_acceleration,
             "SL": lambda value: self._set_soft_limit(0, value),
             "SR": lambda value: self._set_soft_limit(1, value),
         }
@@ -128,6 +137,7 @@ class SimulatedSMC100:
         if state != NOT_REFERENCED:
             return "E" if state == HOMING else STATE_ERRORS[state]
         self._resting_state = READY
+        self._set_pace()
         self._axis.home()
         return "@"
 
@@ -138,8 +148,7 @@ class SimulatedSMC100:
         return "@"
 
     def _reset(self) -> str:
-        self._axis.stop()
-        self._resting_state, self._fault_bits = NOT_REFERENCED, 0
+        self.restart()
         return "@"
 
     def _move(self, target: float) -> str:
@@ -147,6 +156,7 @@ class SimulatedSMC100:
             return STATE_ERRORS[self._state()]
         if not self._soft_limits[0] <= target <= self._soft_limits[1]:
             return "G"
+        self._set_pace()
         self._axis.move(target)
         return "@"
 
@@ -158,11 +168,27 @@ class SimulatedSMC100:
         self._resting_state = READY if value else DISABLED
         return "@"
 
-    def _set_speed(self, name: str, value: float) -> str:
+    def _set_velocity(self, value: float) -> str:
         if value <= 0:
             return "C"
-        setattr(self._axis, name, value)
+        self._velocity = value
         return "@"
+
+    def _set_acceleration(self, value: float) -> str:
+        if value <= 0:
+            return "C"
+        self._acceleration = value
+        return "@"
+
+    def _set_pace(self) -> None:
+        """Hand the settings to the axis; time stretched by a factor divides the acceleration by its square."""
+        self._axis.velocity = self._velocity / self._slowness
+        self._axis.acceleration = self._acceleration / self._slowness**2
+
+    def _reading(self) -> float:
+        """What the encoder says, degrees."""
+        referenced = self._resting_state != NOT_REFERENCED and not self._axis.homing()
+        return self._axis.position() + self._encoder_error - (0.0 if referenced else self._counts_from)
 
     def _set_soft_limit(self, end: int, value: float) -> str:
         low, high = (self._axis.limits[0], 0.0) if end == 0 else (0.0, self._axis.limits[1])

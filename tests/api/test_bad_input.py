@@ -56,10 +56,10 @@ def test_a_wrong_command_is_refused_in_one_line(
 
 
 INSTRUMENT = """
-[sample_stage]
+[stages.sample]
 driver = "smc100"
 url = "socket://127.0.0.1:9"
-[detector_stage]
+[stages.detector]
 driver = "oriental-az"
 url = "tcp://127.0.0.1:9"
 """
@@ -77,11 +77,11 @@ def test_a_missing_device_is_named_in_one_line(cli: Any, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (INSTRUMENT.replace("tcp://127.0.0.1:9", "tcp://h:99999"), ["detector stage", "tcp://host:port"]),
-        (INSTRUMENT.replace("smc100", "smc1000"), ["sample_stage.driver", "smc100"]),
-        (INSTRUMENT.replace("url", "port", 1), ["sample_stage", "url"]),
-        (INSTRUMENT.replace("tcp://127.0.0.1:9", "COM3"), ["detector stage", "tcp://host:port"]),
-        ("[sample_stage", ["TOML"]),
+        (INSTRUMENT.replace("tcp://127.0.0.1:9", "tcp://h:99999"), ["stages.detector", "tcp://host:port"]),
+        (INSTRUMENT.replace("smc100", "smc1000"), ["stages.sample.driver", "smc100"]),
+        (INSTRUMENT.replace("url", "port", 1), ["stages.sample", "url"]),
+        (INSTRUMENT.replace("tcp://127.0.0.1:9", "COM3"), ["stages.detector", "tcp://host:port"]),
+        ("[stages.sample", ["TOML"]),
     ],
 )
 def test_a_wrong_instrument_file_is_refused_in_one_line(cli: Any, tmp_path: Path, wrong: str, words: list[str]) -> None:

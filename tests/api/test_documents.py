@@ -17,5 +17,5 @@ def test_the_campaign_in_the_documents_shows_the_defaults() -> None:
 
 def test_the_instrument_in_the_documents_is_accepted() -> None:
     shown = load_instrument(ROOT / "docs" / "instrument.toml")
-    assert (shown.sample_stage.driver, shown.detector_stage.driver) == ("smc100", "oriental-az")
-    assert (shown.u_angle, shown.aperture, shown.spectrometer.gain) == (0.005, 1.0, 5.0)
+    assert (shown.stages.sample.driver, shown.stages.detector.driver) == ("smc100", "oriental-az")
+    assert (shown.geometry.u_angle, shown.geometry.aperture, shown.spectrometer.gain) == (0.005, 1.0, 5.0)

@@ -1,45 +1,120 @@
-"""The AZ driver moves a stage over Modbus and survives what networks and stages do."""
+"""The AZ driver moves a stage over Modbus and survives what networks, serial lines and stages do."""
 
 import asyncio
+import os
+import re
 import socket
-from collections.abc import Awaitable, Callable, Iterator
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from drivers.errors import DeviceDisconnected, DeviceFault, DeviceNotFound, DeviceRefused, DeviceTimeout
+from drivers.errors import (
+    DeviceDisconnected,
+    DeviceFault,
+    DeviceNotFound,
+    DeviceRefused,
+    DeviceTimeout,
+    DriverError,
+    ProtocolError,
+)
 from drivers.interfaces import RotationStage, StagePhase
 from drivers.oriental_az import OrientalAZ
+from drivers.stage import Mounting
 from simulators.clock import SimulatedClock
+from simulators.faults import FaultScript
 from simulators.motion import Axis
 from simulators.oriental_az import SimulatedOrientalAZ
 
+LINES = ["tcp", "rtu", "terminal"]
+on_one_line = pytest.mark.parametrize("line", ["tcp"])
+"""For what has nothing to do with the line."""
+FAULTS = (
+    *("lose-request", "lose-reply", "delay 0.07 s", "duplicate", "corrupt", "truncate", "garbage", "split", "merge"),
+    *("foreign", "stall 0.07 s", "unplug 0.02 s", "restart", "jam", "refuse"),
+)
+
 
 class Bench:
-    """A simulated stage, and the driver connected to it."""
+    """A simulated stage on one kind of line, and the driver connected to it."""
 
-    def __init__(self) -> None:
+    def __init__(self, line: str) -> None:
         self.clock = SimulatedClock()
         self.axis = Axis(self.clock, start=-12.0, velocity=1, acceleration=1, limits=(-95, 180))
-        self.simulator = SimulatedOrientalAZ(self.axis)
-        self.host, self.port = self.simulator.start()
-        self.stage = OrientalAZ("detector stage", self.host, self.port, self.clock, timeout=0.3)
+        self.simulator = SimulatedOrientalAZ(self.axis, rtu=line != "tcp")
+        if line == "terminal":
+            pytest.importorskip("termios")
+            self.url = f"rtu://{self.simulator.start_pty()}"
+        else:
+            self.url = self.simulator.start()
+        self.stage = self.driver()
+        self.targets: list[float] = []
+        """Where the axis has been sent."""
+        move = self.axis.move
 
-    def run(self, scenario: Callable[[OrientalAZ], Awaitable[None]]) -> None:
+        def noted_move(target: float) -> None:
+            self.targets.append(target)
+            move(target)
+
+        self.axis.move = noted_move  # type: ignore[method-assign]
+
+    def driver(self, *, unit: int = 1, timeout: float = 0.1, mounting: Mounting | None = None) -> OrientalAZ:
+        # a pseudo-terminal knows no parity
+        return OrientalAZ(
+            "detector stage",
+            self.url,
+            self.clock,
+            unit=unit,
+            parity="N",
+            timeout=timeout,
+            mounting=mounting or Mounting(),
+        )
+
+    def run(self, scenario: Callable[[OrientalAZ], Awaitable[None]], stage: OrientalAZ | None = None) -> None:
+        stage = stage or self.stage
+
         async def whole() -> None:
-            await self.stage.open()
-            await scenario(self.stage)
-            await self.stage.close()
+            await stage.open()
+            try:
+                await scenario(stage)
+            finally:
+                await stage.close()
 
         asyncio.run(whole())
 
+    def befall(self, script: str, seed: int = 0) -> None:
+        self.simulator.script = FaultScript.parse(script, seed)
+
+    async def asked(self, requests: int) -> None:
+        """Wait until the present script has seen so many requests."""
+        await until(lambda: self.simulator.script.requests >= requests)
+
+
+async def until(true: Callable[[], bool]) -> None:
+    """Wait in real time."""
+    for _ in range(2000):
+        if true():
+            return
+        await asyncio.sleep(0.001)
+    pytest.fail("waited in vain")
+
+
+@pytest.fixture(params=LINES)
+def line(request: pytest.FixtureRequest) -> str:
+    line: str = request.param
+    return line
+
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    bench = Bench()
+def bench(line: str) -> Iterator[Bench]:
+    bench = Bench(line)
     yield bench
     bench.simulator.close()
 
 
+@on_one_line
 def test_it_is_a_rotation_stage(bench: Bench) -> None:
     stage: RotationStage = bench.stage
     assert stage.limits == (-90.0, 175.0)
@@ -60,6 +135,35 @@ def test_moves_end_where_they_should_on_both_sides_of_zero_and_take_their_time(b
     bench.run(scenario)
 
 
+@on_one_line
+def test_a_stage_that_is_mounted_backwards_and_off_zero_turns_the_right_way(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        assert await stage.position() == pytest.approx((-12.0 - 10.0) / -2.0)
+        assert await stage.move_to(20.0) == pytest.approx(20.0)
+        assert bench.axis.position() == pytest.approx(10.0 - 2.0 * 20.0)
+        # the stage reads two degrees for each degree on the bench
+        assert (stage.velocity, bench.axis.velocity) == (30.0, 60.0)
+
+    bench.run(scenario, bench.driver(mounting=Mounting(zero=10.0, direction=-1, scale=2.0)))
+
+
+@on_one_line
+def test_a_velocity_that_is_set_is_the_one_of_the_next_motion(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        await stage.set_velocity(6.0)
+        begin = bench.clock.now()
+        await stage.move_to(48.0)
+        # 60 degrees at 6 degrees/s with ramps at 60 degrees/s^2
+        assert bench.clock.now() - begin == pytest.approx(60 / 6 + 6 / 60, abs=0.1)
+        for beyond in (0.001, 1e9):
+            with pytest.raises(DeviceRefused, match=r"detector stage.*ask for 0\.01°/s to 40000°/s"):
+                await stage.set_velocity(beyond)
+        assert stage.velocity == 6.0
+
+    bench.run(scenario)
+
+
+@on_one_line
 def test_homing_ends_at_zero(bench: Bench) -> None:
     async def scenario(stage: OrientalAZ) -> None:
         await stage.home()
@@ -68,38 +172,55 @@ def test_homing_ends_at_zero(bench: Bench) -> None:
     bench.run(scenario)
 
 
+@on_one_line
 def test_nothing_is_sent_for_an_angle_outside_the_limits(bench: Bench) -> None:
     async def scenario(stage: OrientalAZ) -> None:
-        bench.simulator.silent = True  # a single byte sent would now end in a timeout
+        bench.befall("")
         with pytest.raises(DeviceRefused, match=r"detector stage.*-90° to 175°"):
             await stage.move_to(175.1)
+        assert bench.simulator.script.requests == 0
 
     bench.run(scenario)
 
 
 def test_an_absent_device_is_named_with_its_address(bench: Bench) -> None:
     bench.simulator.close()
-    with pytest.raises(DeviceNotFound, match=rf"detector stage.*{bench.host}:{bench.port}"):
+    with pytest.raises(DeviceNotFound, match=rf"detector stage.*{re.escape(bench.url)}"):
         asyncio.run(bench.stage.open())
 
 
-def test_a_host_that_does_not_exist_is_not_found(bench: Bench) -> None:
-    stage = OrientalAZ("detector stage", "no-such-host.invalid", 502, bench.clock, timeout=0.3)
+def test_a_host_that_does_not_exist_is_not_found() -> None:
+    stage = OrientalAZ("detector stage", "tcp://no-such-host.invalid:502", SimulatedClock(), timeout=0.3)
     with pytest.raises(DeviceNotFound, match=r"no-such-host\.invalid:502"):
         asyncio.run(stage.open())
 
 
-def test_something_that_speaks_no_modbus_is_not_found(bench: Bench) -> None:
+@pytest.mark.parametrize(
+    "url", ["", "COM3", "tcp://host", "tcp://host:port", "tcp://host:99999", "rtu://", "ftp://h:1"]
+)
+def test_an_address_that_cannot_be_one_is_refused_before_anything_is_opened(url: str) -> None:
+    with pytest.raises(ValueError, match=r"detector stage.*tcp://host:port"):
+        OrientalAZ("detector stage", url, SimulatedClock())
+
+
+@pytest.mark.parametrize("url", ["rtu:///no/such/port", "rtu+nonsense://x", "hwgrep://SER=no-such-adapter"])
+def test_a_serial_port_that_does_not_exist_is_not_found(url: str) -> None:
+    with pytest.raises(DeviceNotFound, match="detector stage"):
+        asyncio.run(OrientalAZ("detector stage", url, SimulatedClock(), timeout=0.1).open())
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+socket"])
+def test_something_that_does_not_answer_is_not_found(scheme: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        stage = OrientalAZ("detector stage", *server.getsockname(), bench.clock, timeout=0.1)
+        url = f"{scheme}://127.0.0.1:{server.getsockname()[1]}"
+        stage = OrientalAZ("detector stage", url, SimulatedClock(), timeout=0.05)
         with pytest.raises(DeviceNotFound, match="no AZ driver"):
             asyncio.run(stage.open())
 
 
 def test_a_wrong_unit_is_not_found(bench: Bench) -> None:
-    stage = OrientalAZ("detector stage", bench.host, bench.port, bench.clock, unit=9, timeout=0.3)
     with pytest.raises(DeviceNotFound, match=r"unit 9.*check the address and the unit"):
-        asyncio.run(stage.open())
+        asyncio.run(bench.driver(unit=9).open())
 
 
 def test_unplugging_is_noticed_and_the_stage_works_again_after_reopening(bench: Bench) -> None:
@@ -107,43 +228,202 @@ def test_unplugging_is_noticed_and_the_stage_works_again_after_reopening(bench: 
         bench.simulator.unplug()
         with pytest.raises(DeviceDisconnected, match="reopen"):
             await stage.position()
+        with pytest.raises(DeviceDisconnected, match="reopen"):
+            await stage.stop()
         await stage.close()
         with pytest.raises(DeviceDisconnected, match="not open"):
             await stage.position()
-        bench.simulator.start()
+        bench.simulator._start()
         await stage.open()
         assert await stage.move_to(5.0) == pytest.approx(5.0)
 
     bench.run(scenario)
 
 
-def test_a_silent_device_is_a_timeout_and_answers_again_later(bench: Bench) -> None:
+def test_unplugging_in_the_middle_of_a_reply_is_noticed(bench: Bench) -> None:
     async def scenario(stage: OrientalAZ) -> None:
-        bench.simulator.silent = True
-        with pytest.raises(DeviceTimeout, match="no answer"):
+        bench.befall("at 1 unplug 0.05 s")
+        with pytest.raises(DeviceDisconnected, match="reopen"):
             await stage.position()
-        bench.simulator.silent = False
+        await asyncio.sleep(0.1)
+        await stage.open()
         assert await stage.position() == pytest.approx(-12.0)
 
     bench.run(scenario)
 
 
-def test_a_trigger_whose_reply_is_lost_moves_the_stage_once(bench: Bench) -> None:
-    targets: list[float] = []
-    move = bench.axis.move
+def test_opening_and_closing_leaves_nothing_behind(bench: Bench) -> None:
+    descriptors = Path("/proc/self/fd")
+    if not descriptors.exists():
+        pytest.skip("the system does not tell what is open")
 
-    def counting_move(target: float) -> None:
-        targets.append(target)
-        move(target)
+    async def open_and_close() -> int:
+        stage, wrong = bench.driver(), bench.driver(unit=9, timeout=0.02)
+        for _ in range(2):
+            await stage.open()
+            await stage.open()
+            await stage.close()
+            await stage.close()
+            with pytest.raises(DeviceNotFound):
+                await wrong.open()
+            opening = asyncio.create_task(stage.open())
+            await asyncio.sleep(0.001)
+            opening.cancel()
+            await asyncio.gather(opening, return_exceptions=True)
+            await stage.close()
+        await asyncio.sleep(0.05)
+        return len(os.listdir(descriptors))
 
-    bench.axis.move = counting_move  # type: ignore[method-assign]
-    bench.simulator.lost_replies_to_motions = 1
+    assert asyncio.run(open_and_close()) == asyncio.run(open_and_close())
+
+
+# the line
+
+
+@pytest.mark.parametrize("fault", ["lose-request", "lose-reply", "stall 0.08 s", "truncate", "merge", "delay 0.12 s"])
+def test_a_question_that_is_not_answered_is_asked_again_and_that_is_logged(
+    bench: Bench, caplog: pytest.LogCaptureFixture, fault: str
+) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.befall(f"at 1 {fault}")
+        assert await stage.position() == pytest.approx(-12.0)
+
+    bench.run(scenario)
+    assert "trying again (attempt 2 of 3)" in caplog.text
+
+
+def test_a_device_that_stays_silent_is_a_timeout_and_answers_again_later(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        for _ in range(3):
+            bench.befall("from 1 lose-request")
+            with pytest.raises(DeviceTimeout, match="no whole answer"):
+                await stage.position()
+            assert bench.simulator.script.requests == 3
+        bench.befall("")
+        assert await stage.position() == pytest.approx(-12.0)
+
+    bench.run(scenario)
+
+
+def test_a_position_of_the_past_is_never_taken_for_the_present_one(bench: Bench) -> None:
+    """Each time the stage stands elsewhere; the reply that tells where it stood before comes late, twice or again."""
 
     async def scenario(stage: OrientalAZ) -> None:
+        for seed in range(3):
+            for fault in ("foreign", "duplicate", "delay 0.08 s", "merge"):
+                bench.befall(f"at 1 {fault}", seed)
+                asking = asyncio.create_task(stage.position())
+                await bench.asked(1)
+                bench.axis.move(bench.axis.position() + 1.0)
+                bench.clock.advance_to(bench.clock.now() + 10.0)
+                await asking
+                assert await stage.position() == pytest.approx(bench.axis.position())
+
+    bench.run(scenario, bench.driver(timeout=0.05))
+
+
+@pytest.mark.parametrize("line", ["rtu", "terminal"])
+def test_a_reply_of_the_past_in_front_of_the_right_one_is_told_apart_without_a_number(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        for seed in range(20):
+            await stage.position()
+            bench.axis.move(bench.axis.position() + 1.0)
+            bench.clock.advance_to(bench.clock.now() + 10.0)
+            bench.befall("at 1 foreign" + (" \n at 1 split" if seed % 2 else ""), seed)
+            assert await stage.position() == pytest.approx(bench.axis.position())
+
+    bench.run(scenario)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", ["tcp", "rtu"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_whatever_happens_an_angle_is_right_or_there_is_an_error(bench: Bench, line: str, fault: str) -> None:
+    if (line, fault) == ("tcp", "corrupt"):
+        pytest.skip("a network carries a checksum of its own below Modbus")
+    right = 0
+
+    async def scenario(stage: OrientalAZ) -> None:
+        nonlocal right
+        for seed in range(4):
+            bench.befall(f"from {3 + seed} every 23 {fault}", seed)
+            for angle in (20.0, -5.0):
+                try:
+                    assert await stage.move_to(angle) == pytest.approx(angle)
+                    assert bench.axis.position() == pytest.approx(angle)
+                    assert await stage.position() == pytest.approx(angle)
+                    right += 1
+                except DriverError:
+                    bench.befall("")
+                    await asyncio.sleep(0.15)
+                    await stage.open()
+                    await stage.stop()
+                    await bench.clock.sleep(10.0)
+                    await stage.home()
+
+    bench.run(scenario, bench.driver(timeout=0.04))
+    assert right >= 1
+
+
+# the stage
+
+
+@pytest.mark.parametrize("fault", ["lose-reply", "duplicate", "foreign", "merge", "delay 0.12 s", "split"])
+def test_a_motion_whose_reply_is_lost_or_late_is_made_once(bench: Bench, fault: str) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        for request in range(1, 20, 3):
+            bench.targets.clear()
+            bench.befall(f"at {request} {fault}")
+            target = 20.0 if request % 2 else 21.0
+            assert await stage.move_to(target) == pytest.approx(target)
+            assert bench.targets == [pytest.approx(target)]
+
+    bench.run(scenario)
+
+
+def test_a_motion_whose_request_is_lost_is_not_made_and_that_is_told(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        # the request that carries the motion: an echo goes with each question on a serial line
+        number = 4 if bench.url.startswith("tcp") else 7
+        bench.befall(f"at {number} lose-request")
+        with pytest.raises(DeviceTimeout, match="no whole answer"):
+            await stage.move_to(20.0)
+        assert bench.targets == []
         assert await stage.move_to(20.0) == pytest.approx(20.0)
 
     bench.run(scenario)
-    assert targets == [20.0]
+
+
+def test_a_refused_motion_is_told_in_words(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.simulator.refuse()
+        with pytest.raises(DeviceRefused, match=r"detector stage.*it cannot do that in its present state"):
+            await stage.move_to(20.0)
+        assert await stage.move_to(20.0) == pytest.approx(20.0)
+
+    bench.run(scenario)
+
+
+def test_a_stage_that_was_switched_off_still_knows_its_angle(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        await stage.move_to(20.0)
+        bench.simulator.restart()
+        assert await stage.position() == pytest.approx(20.0)
+        assert await stage.move_to(30.0) == pytest.approx(30.0)
+
+    bench.run(scenario)
+
+
+def test_a_stage_that_is_switched_off_in_a_move_does_not_pass_for_arrived(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        # while it moves, before it is first looked at
+        moving = asyncio.create_task(stage.move_to(20.0))
+        await until(bench.axis.moving)
+        bench.simulator.restart()
+        with pytest.raises((DeviceFault, ProtocolError), match=r"came to rest|did not take"):
+            await moving
+
+    bench.run(scenario)
 
 
 def test_an_alarm_is_told_in_words_and_homing_resets_it(bench: Bench) -> None:
@@ -158,6 +438,7 @@ def test_an_alarm_is_told_in_words_and_homing_resets_it(bench: Bench) -> None:
     bench.run(scenario)
 
 
+@on_one_line
 def test_an_alarm_in_the_middle_of_a_move_ends_it(bench: Bench) -> None:
     bench.stage.limits = (-90.0, 190.0)
 
@@ -168,14 +449,115 @@ def test_an_alarm_in_the_middle_of_a_move_ends_it(bench: Bench) -> None:
     bench.run(scenario)
 
 
-def test_a_cancelled_request_does_not_answer_the_next_one(bench: Bench) -> None:
+@on_one_line
+def test_an_encoder_that_drifts_is_noticed_by_the_next_move(bench: Bench) -> None:
     async def scenario(stage: OrientalAZ) -> None:
-        for _ in range(20):
-            state = asyncio.create_task(stage.state())
-            await asyncio.sleep(0)
-            await asyncio.sleep(0)
-            state.cancel()
-            assert await stage.position() == pytest.approx(-12.0)
+        bench.simulator.drift()
+        with pytest.raises(DeviceFault, match=r"20\.500° instead of 20\.000°"):
+            await stage.move_to(20.0)
+
+    bench.run(scenario)
+
+
+@on_one_line
+def test_a_motor_that_crawls_is_a_timeout(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.simulator.slow()
+        with pytest.raises(DeviceTimeout, match="still moving"):
+            await stage.move_to(80.0)
+
+    bench.run(scenario)
+
+
+# stopping
+
+
+def until_first_yield(coroutine: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+    """Run `coroutine` up to its first yield, and return what runs the rest."""
+    waits_for = coroutine.send(None)
+
+    async def rest() -> None:
+        nonlocal waits_for
+        try:
+            while True:
+                if waits_for is None:
+                    await asyncio.sleep(0)
+                else:
+                    waits_for._asyncio_future_blocking = False
+                    await asyncio.wait([waits_for])
+                waits_for = coroutine.send(None)
+        except StopIteration:
+            return
+
+    return rest
+
+
+def brakes(bench: Bench) -> bool:
+    """Wait in real time, and with the event loop standing still, until the axis brakes."""
+    deadline = time.monotonic() + 2.0
+    while time.monotonic() < deadline:
+        if bench.axis._target < 80.0:
+            return True
+        time.sleep(0.001)
+    return False
+
+
+def test_a_stop_is_on_the_wire_before_anything_else_runs(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.axis.move(90.0)
+        await bench.clock.sleep(5.0)
+        rest = until_first_yield(stage.stop())
+        assert brakes(bench)
+        await rest()
+        await bench.clock.sleep(5.0)
+        assert (await stage.state()).phase is StagePhase.READY
+
+    bench.run(scenario)
+
+
+def test_a_stop_overtakes_a_question_that_waits_for_its_reply(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.axis.move(90.0)
+        await bench.clock.sleep(5.0)
+        bench.befall("at 1 delay 0.2 s")
+        asking = asyncio.create_task(stage.position())
+        await bench.asked(1)
+        rest = until_first_yield(stage.stop())
+        assert brakes(bench)
+        await rest()
+        await bench.clock.sleep(5.0)
+        assert await asking < 80.0
+        assert (await stage.state()).phase is StagePhase.READY
+
+    bench.run(scenario, bench.driver(timeout=0.5))
+
+
+def test_a_stop_during_a_stall_brakes_as_soon_as_the_device_listens_again(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.axis.move(90.0)
+        await bench.clock.sleep(5.0)
+        bench.befall("at 1 stall 0.15 s")
+        asking = asyncio.create_task(stage.position())
+        await bench.asked(1)
+        begin = bench.clock.now()
+        await stage.stop()
+        assert brakes(bench)
+        assert bench.clock.now() - begin < 0.1
+        await asking
+
+    bench.run(scenario)
+
+
+@pytest.mark.parametrize("fault", ["lose-request", "lose-reply", "merge", "foreign", "refuse", "duplicate"])
+def test_a_stop_is_made_sure_of_on_a_bad_line(bench: Bench, fault: str) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        bench.axis.move(90.0)
+        await bench.clock.sleep(5.0)
+        bench.befall(f"at 1 {fault}")
+        await stage.stop()
+        assert brakes(bench)
+        await bench.clock.sleep(5.0)
+        assert await stage.move_to(3.0) == pytest.approx(3.0)
 
     bench.run(scenario)
 
@@ -191,5 +573,17 @@ def test_a_stop_ends_a_motion_and_allows_the_next(bench: Bench) -> None:
         assert (await stage.state()).phase is StagePhase.READY
         assert await stage.position() < 90.0
         assert await stage.move_to(3.0) == pytest.approx(3.0)
+
+    bench.run(scenario)
+
+
+def test_a_cancelled_request_does_not_answer_the_next_one(bench: Bench) -> None:
+    async def scenario(stage: OrientalAZ) -> None:
+        for yields in range(20):
+            state = asyncio.create_task(stage.state())
+            for _ in range(yields):
+                await asyncio.sleep(0)
+            state.cancel()
+            assert await stage.position() == pytest.approx(-12.0)
 
     bench.run(scenario)

@@ -36,12 +36,18 @@ class Detector:
     async def set_shutter(self, is_open):
         self.is_open = is_open
 
+    async def wavelengths(self):
+        return np.linspace(250, 1050, 1044)
+
     async def expose(self, integration_time):
         random = np.random.default_rng(len(self.taken))
         light = self.rate * integration_time * np.linspace(0, 1, 1044) if self.is_open else np.zeros(1044)
         counts = np.clip(light + OFFSET + random.normal(0, 6, 1044), 0, SATURATION)
         self.taken.append(integration_time)
         return Spectrum(np.rint(counts).astype(np.uint32), integration_time, len(self.taken), -10.0)
+
+    async def sequence(self, integration_time, scans):
+        return [await self.expose(integration_time) for _ in range(scans)]
 
 
 def expose(rate, predicted=None, scans=1, policy=POLICY):

@@ -32,7 +32,10 @@ class Standing:
 class Bench:
     """An optical bench with hands: set angles, read the mean of some exposures."""
 
-    def __init__(self, material: str = "spectralon", seed: int = 1, **settings: float) -> None:
+    def __init__(
+        self, material: str = "spectralon", seed: int = 1, sensor_temperature: float = -10.0, **settings: float
+    ) -> None:
+        self.sensor_temperature = sensor_temperature
         self.clock = SimulatedClock()
         self.sample, self.detector = Standing(), Standing()
         self.optics = OpticalBench(
@@ -46,7 +49,9 @@ class Bench:
         return self
 
     def read(self, seconds: float, light: bool = True) -> np.ndarray:
-        return self.optics.read_out(seconds, shutter_open=light, lamp_on=True)
+        return self.optics.read_out(
+            seconds, shutter_open=light, lamp_on=True, sensor_temperature=self.sensor_temperature
+        )
 
     def mean(self, seconds: float, light: bool = True, times: int = 40) -> np.ndarray:
         return np.mean([self.read(seconds, light) for _ in range(times)], axis=0)
@@ -125,8 +130,8 @@ def test_a_point_just_outside_the_blocked_sector_is_not_lost_to_a_positioning_er
 
 def test_closed_shutter_and_cold_lamp_are_dark_alike() -> None:
     bench = Bench("mirror").turn(10, 10)
-    closed = bench.optics.read_out(1.0, shutter_open=False, lamp_on=True)
-    off = bench.optics.read_out(1.0, shutter_open=True, lamp_on=False)
+    closed = bench.optics.read_out(1.0, shutter_open=False, lamp_on=True, sensor_temperature=-10.0)
+    off = bench.optics.read_out(1.0, shutter_open=True, lamp_on=False, sensor_temperature=-10.0)
     assert closed.mean() == pytest.approx(off.mean(), abs=1)
     assert closed.mean() == pytest.approx(OFFSET, abs=10)
 
@@ -180,7 +185,8 @@ def test_another_process_draws_the_same_noise() -> None:
         "from simulators.clock import SimulatedClock;"
         "a = type('A', (), {'true_position': lambda self: 7.0})();"
         "b = OpticalBench(SimulatedClock(), seed=3, sample_axis=a, detector_axis=a);"
-        "print(b.read_out(0.1, shutter_open=False, lamp_on=True).sum(), p(3, 'sample stage')(12.5))"
+        "counts = b.read_out(0.1, shutter_open=False, lamp_on=True, sensor_temperature=-10.0);"
+        "print(counts.sum(), p(3, 'sample stage')(12.5))"
     )
     outputs = {
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout

@@ -24,7 +24,9 @@ class Ramp:
     wavelength_coefficients = (345.25, 0.8, -1e-5, -2e-9)
     nonlinearity_coefficients = (0.875, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    def read_out(self, integration_time: float, *, shutter_open: bool, lamp_on: bool) -> CountArray:
+    def read_out(
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+    ) -> CountArray:
         light = 1e5 * integration_time * shutter_open * lamp_on
         return (1500 + light + np.arange(self.pixels)).astype(np.uint32)
 
@@ -132,3 +134,48 @@ def test_what_the_device_does_not_know_is_refused_with_the_reason(clock: Simulat
         reply = talk(simulator, message_type, payload)
         assert reply.flags & NACK
         assert reply.error == error
+
+
+def test_the_buffer_fills_back_to_back_until_it_is_full_and_gives_the_oldest_first(clock: SimulatedClock) -> None:
+    simulator = SimulatedQEPro(Ramp(), clock)
+    talk(simulator, 0x00100832, struct.pack("<L", 3))
+    talk(simulator, 0x00100902)
+    assert talk(simulator, 0x00100908).payload == b"\x00"
+    for waited, there in ((0.15, 1), (0.1, 2), (5.0, 3)):
+        clock.advance_to(clock.now() + waited)
+        assert talk(simulator, 0x00100900).payload == struct.pack("<L", there)
+    assert talk(simulator, 0x00100908).payload == b"\x01"
+    numbers = [struct.unpack_from("<LQLHB", talk(simulator, 0x00100928, size=8192).payload)[0] for _ in range(3)]
+    assert numbers == [1, 2, 3]
+    talk(simulator, 0x00100830)
+    assert talk(simulator, 0x00100900).payload == bytes(4)
+
+
+def test_a_restart_forgets_all_settings_and_starts_counting_again(clock: SimulatedClock) -> None:
+    simulator = SimulatedQEPro(Ramp(), clock)
+    talk(simulator, 0x00110410, b"\x01")
+    talk(simulator, 0x00420010, b"\x01")
+    talk(simulator, 0x00110010, struct.pack("<L", 250_000))
+    talk(simulator, 0x00100928, size=8192)
+    clock.advance_to(200.0)
+    simulator.restart()
+    assert talk(simulator, 0x00110400).payload == b"\x00"
+    assert talk(simulator, 0x00420000).payload == b"\x00"
+    assert talk(simulator, 0x00110000).payload == struct.pack("<L", 100_000)
+    count, tick = struct.unpack_from("<LQ", talk(simulator, 0x00100928, size=8192).payload)
+    assert (count, tick) == (1, 100_000)
+
+
+def test_an_uncooled_sensor_is_read_out_at_its_own_temperature(clock: SimulatedClock) -> None:
+    class Thermometer(Ramp):
+        def read_out(
+            self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        ) -> CountArray:
+            return np.full(self.pixels, round(100 + sensor_temperature), dtype=np.uint32)
+
+    simulator = SimulatedQEPro(Thermometer(), clock)
+    for enable, expected in ((b"\x00", 125), (b"\x01", 90)):
+        talk(simulator, 0x00420010, enable)
+        clock.advance_to(clock.now() + 200)
+        payload = talk(simulator, 0x00100928, size=8192).payload
+        assert struct.unpack_from("<L", payload, 32)[0] == expected

@@ -1,11 +1,13 @@
 """The simulated SMC100 speaks as its manual says, to any serial client."""
 
+import sys
 from collections.abc import Iterator
 
 import pytest
 import serial
 
 from simulators.clock import SimulatedClock
+from simulators.faults import FaultScript
 from simulators.motion import Axis
 from simulators.smc100 import SimulatedSMC100
 
@@ -14,7 +16,7 @@ class Terminal:
     """A person at a serial terminal."""
 
     def __init__(self, url: str) -> None:
-        self._port = serial.serial_for_url(url, timeout=0.2)
+        self._port = serial.serial_for_url(url, baudrate=57600, timeout=0.2)
 
     def type(self, line: str) -> str:
         """Send one line and return what comes back, "" for nothing."""
@@ -43,8 +45,12 @@ def simulator(clock: SimulatedClock) -> Iterator[SimulatedSMC100]:
     simulator.close()
 
 
-def test_a_dialog_by_hand_homes_and_moves(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
-    terminal = Terminal(simulator.start())
+@pytest.mark.parametrize(
+    "way",
+    ["tcp", pytest.param("pty", marks=pytest.mark.skipif(sys.platform == "win32", reason="Windows has no ptys"))],
+)
+def test_a_dialog_by_hand_homes_and_moves(clock: SimulatedClock, simulator: SimulatedSMC100, way: str) -> None:
+    terminal = Terminal(simulator.start() if way == "tcp" else simulator.start_pty())
     assert terminal.type("1TS") == "1TS00000A"
     terminal.type("1PA30")
     assert terminal.type("1TE") == "1TEH"
@@ -111,3 +117,88 @@ def test_a_stopped_search_leaves_the_stage_unreferenced(clock: SimulatedClock, s
     assert terminal.type("1TS") == "1TS000028", "it brakes"
     clock.advance_to(5)
     assert terminal.type("1TS") == "1TS00000A"
+
+
+def homed(clock: SimulatedClock, simulator: SimulatedSMC100) -> Terminal:
+    terminal = Terminal(simulator.start())
+    terminal.type("1OR")
+    clock.advance_to(clock.now() + 20)
+    assert terminal.type("1TS") == "1TS000032"
+    return terminal
+
+
+def test_a_power_cycle_forgets_the_reference_the_speed_and_the_limits(
+    clock: SimulatedClock, simulator: SimulatedSMC100
+) -> None:
+    terminal = homed(clock, simulator)
+    for line in ("1VA5", "1SR20", "1PA8"):
+        terminal.type(line)
+    clock.advance_to(40)
+    simulator.restart()
+    assert terminal.type("1TS") == "1TS00000A"
+    assert terminal.type("1TP") == "1TP0.00000", "an incremental encoder counts from where it wakes up"
+    assert terminal.type("1VA?") == "1VA10"
+    assert terminal.type("1SR?") == "1SR100"
+    terminal.type("1PA30")
+    assert terminal.type("1TE") == "1TEH"
+    terminal.type("1OR")
+    clock.advance_to(60)
+    terminal.type("1PA30")
+    clock.advance_to(80)
+    assert terminal.type("1TP") == "1TP30.00000"
+
+
+def test_a_jammed_motor_is_a_following_error_until_a_reset(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = homed(clock, simulator)
+    terminal.type("1PA80")
+    clock.advance_to(clock.now() + 2)
+    simulator.jam()
+    clock.advance_to(clock.now() + 2)
+    assert terminal.type("1TS") == "1TS00203C"
+    assert 0 < float(terminal.type("1TP").removeprefix("1TP")) < 80
+    terminal.type("1PA1")
+    assert terminal.type("1TE") == "1TEJ"
+    terminal.type("1RS")
+    assert terminal.type("1TS") == "1TS00000A"
+
+
+def test_a_refused_command_is_not_carried_out_and_says_so_once(
+    clock: SimulatedClock, simulator: SimulatedSMC100
+) -> None:
+    terminal = homed(clock, simulator)
+    simulator.refuse()
+    assert terminal.type("1TP") == "1TP0.00000", "a query is not refused"
+    terminal.type("1PA30")
+    assert terminal.type("1TE") == "1TED"
+    assert terminal.type("1TS") == "1TS000032"
+    terminal.type("1PA30")
+    assert terminal.type("1TE") == "1TE@"
+    assert terminal.type("1TS") == "1TS000028"
+
+
+def test_a_drifting_encoder_reads_off_and_a_slow_stage_takes_ten_times_as_long(
+    clock: SimulatedClock, simulator: SimulatedSMC100
+) -> None:
+    terminal = homed(clock, simulator)
+    simulator.drift(0.25)
+    assert terminal.type("1TP") == "1TP0.25000"
+    simulator.slow()
+    terminal.type("1PA20")
+    begin = clock.now()
+    # 20 degrees at 10 degrees/s with ramps at 20 degrees/s^2 take 2.5 s
+    clock.advance_to(begin + 24.9)
+    assert terminal.type("1TS") == "1TS000028"
+    clock.advance_to(begin + 25.1)
+    assert terminal.type("1TS") == "1TS000032"
+    assert terminal.type("1TP") == "1TP20.25000"
+    assert terminal.type("1VA?") == "1VA10"
+
+
+def test_a_script_befalls_the_lines_that_are_typed(clock: SimulatedClock, simulator: SimulatedSMC100) -> None:
+    terminal = homed(clock, simulator)
+    simulator.script = FaultScript.parse("at 2 lose-reply\nat 4 restart")
+    assert terminal.type("1TP") == "1TP0.00000"
+    assert terminal.type("1TP") == ""
+    assert terminal.type("1TS") == "1TS000032"
+    assert terminal.type("1TS") == "1TS00000A"
+    assert [number for number, _ in simulator.script.happened] == [2, 4]

@@ -1,0 +1,176 @@
+"""Where the arm may stand and which way it may go: pure functions of stage angles.
+
+Two things bound the arm: the limits of each stage, and forbidden regions, rectangles in the plane of both stage
+angles in which the arm would hit the source or the sample holder. A region is open: the arm may stand at its edge
+and slide along it, so a region is given with the margin that it needs. All angles are degrees, as on the stages:
+`sample` of the sample stage, `detector` of the arm, from the source axis.
+
+Two stages that move at once do not keep step, so such a move may pass through any point of the rectangle that start
+and end span. It is allowed when all of that rectangle is free; else the stages move one after the other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+from goniometer.errors import ConfigurationError, GeometryError
+from goniometer.geometry import Geometry
+from goniometer.plan import PlanSpec, segments
+
+Range = tuple[float, float]
+"""From, to."""
+Limits = tuple[Range, Range]
+"""Where the sample stage and where the detector stage may stand, ends included."""
+Standing = tuple[float, float]
+"""Angles of the sample stage and of the detector stage."""
+
+AT_EDGE = 0.1
+"""Degrees inside a forbidden region that a stage may read back when it was sent to the region's edge."""
+
+_SAME = 1e-6
+"""Degrees below which two angles are the same."""
+
+
+@dataclass(frozen=True)
+class Forbidden:
+    """A rectangle in which the arm must never be. Raises `ConfigurationError` where it is empty."""
+
+    sample: Range
+    """Angles of the sample stage, lower one first."""
+    detector: Range
+    """Angles of the detector stage, lower one first."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in (("sample", self.sample), ("detector", self.detector)):
+            if not low < high:  # also where one of them is no number
+                raise ConfigurationError(
+                    f"A forbidden region from {low:g} to {high:g} deg of the {name} stage is empty; "
+                    f"give the lower angle first"
+                )
+
+    def __str__(self) -> str:
+        """In words, e.g. for an error."""
+        (a, b), (c, d) = self.sample, self.detector
+        return f"the forbidden region with the sample stage at {a:g} to {b:g} and the detector stage at {c:g} to {d:g}"
+
+
+def check_standing(standing: Standing, limits: Limits, forbidden: Sequence[Forbidden]) -> None:
+    """Raise `GeometryError` where the arm must not stand so."""
+    sample, detector = standing
+    for name, angle, (low, high) in zip(("sample", "detector"), standing, limits, strict=True):
+        if not low <= angle <= high:
+            raise GeometryError(
+                f"sample stage at {sample:g}, detector stage at {detector:g} deg is not possible: "
+                f"the {name} stage would have to stand at {angle:g} deg, outside {low:g} to {high:g} deg"
+            )
+    for region in forbidden:
+        if _touches(region, standing, standing):
+            raise GeometryError(
+                f"sample stage at {sample:g}, detector stage at {detector:g} deg is not possible: "
+                f"that lies in {region} deg"
+            )
+
+
+def safe_path(start: Standing, end: Standing, forbidden: Sequence[Forbidden]) -> list[Standing]:
+    """Where to stop on the way from `start` to `end`, which is the last of them.
+
+    Both stages at once where that is free, else the detector stage first, else the sample stage first. Raises
+    `GeometryError` that names the region in the way where none of these is free.
+    """
+    begin = _at_edge(start, forbidden)
+    ways: tuple[tuple[Standing, ...], ...] = ((), ((start[0], end[1]),), ((end[0], start[1]),))
+    in_the_way: list[Forbidden] = []
+    for way in ways:
+        # what is checked begins at the edge, what is commanded where the stages are
+        corners = [begin, *((s if s == end[0] else begin[0], d if d == end[1] else begin[1]) for s, d in way), end]
+        hit = [r for a, b in pairwise(corners) for r in forbidden if _touches(r, a, b)]
+        if not hit:
+            return [*way, end]
+        in_the_way += hit
+    raise GeometryError(
+        f"The arm cannot go from sample stage {start[0]:g}, detector stage {start[1]:g} to {end[0]:g}, {end[1]:g} deg: "
+        f"{in_the_way[-1]} deg is in the way; measure both sides of it in campaigns of their own"
+    )
+
+
+def check_plan(spec: PlanSpec, limits: Limits, forbidden: Sequence[Forbidden]) -> None:
+    """Raise `GeometryError` where the bench cannot take all that a plan could ever ask for.
+
+    That is, for each incident angle, the whole range of theta_out outside the blocked sector: refinement may put a
+    point anywhere in it, and points of the reference scan lie in it. The arm must be able to stand everywhere there,
+    to go from end to end at one incident angle, and from each end to either end at the next.
+    """
+    for theta_in in spec.theta_in:
+        for part in segments(spec, theta_in):
+            _check_part(theta_in, part, limits, forbidden)
+    ends = [_ends(spec, theta_in) for theta_in in spec.theta_in if segments(spec, theta_in)]
+    for here in ends:
+        safe_path(here[0], here[-1], forbidden)
+    for here, there in pairwise(ends):
+        for start, end in product(here, there):
+            safe_path(start, end, forbidden)
+            safe_path(end, start, forbidden)  # a new sample begins again at the first incident angle
+
+
+def _ends(spec: PlanSpec, theta_in: float) -> tuple[Standing, Standing]:
+    """Stage angles of the lowest and of the highest measurable direction of one incident angle."""
+    parts = segments(spec, theta_in)
+    lowest, highest = Geometry(theta_in, parts[0][0]), Geometry(theta_in, parts[-1][1])
+    return (lowest.sample_angle, lowest.detector_angle), (highest.sample_angle, highest.detector_angle)
+
+
+def _check_part(theta_in: float, part: Range, limits: Limits, forbidden: Sequence[Forbidden]) -> None:
+    """Raise `GeometryError` unless the arm can stand in all of one range of theta_out."""
+    (sample_low, sample_high), (detector_low, detector_high) = limits
+    sample = Geometry(theta_in, 0.0).sample_angle
+    if not sample_low <= sample <= sample_high:
+        raise GeometryError(
+            f"theta_in = {theta_in:g} deg is not possible: the sample stage would have to stand at {sample:g} deg, "
+            f"outside {sample_low:g} to {sample_high:g} deg; leave this incident angle out"
+        )
+    # the ranges of theta_out that are taken away, each with its reason
+    taken = [
+        ((-float("inf"), detector_low - theta_in), f"outside {detector_low:g} to {detector_high:g} deg"),
+        ((detector_high - theta_in, float("inf")), f"outside {detector_low:g} to {detector_high:g} deg"),
+    ]
+    taken += [
+        ((region.detector[0] - theta_in, region.detector[1] - theta_in), f"in {region} deg")
+        for region in forbidden
+        if region.sample[0] < sample < region.sample[1]
+    ]
+    free = [part]
+    for (low, high), _ in taken:
+        free = [piece for a, b in free for piece in ((a, min(b, low)), (max(a, high), b)) if piece[0] <= piece[1]]
+    for (low, high), reason in sorted(taken):
+        first, last = max(low, part[0]), min(high, part[1])
+        if last - first > _SAME or (part[0] == part[1] and low < part[0] < high):
+            possible = ", ".join(f"{a:g} to {b:g} deg" for a, b in free) or "nothing"
+            raise GeometryError(
+                f"theta_in = {theta_in:g}, theta_out = {first:g} to {last:g} deg is not possible: the detector stage "
+                f"would have to stand at {theta_in + first:g} to {theta_in + last:g} deg, {reason}; possible between "
+                f"{part[0]:g} and {part[1]:g} deg is {possible}: change outgoing, or leave this incident angle out"
+            )
+
+
+def _touches(region: Forbidden, a: Standing, b: Standing) -> bool:
+    """Whether the rectangle that `a` and `b` span has a point inside `region`."""
+    return all(
+        min(a[axis], b[axis]) < high and max(a[axis], b[axis]) > low
+        for axis, (low, high) in enumerate((region.sample, region.detector))
+    )
+
+
+def _at_edge(standing: Standing, forbidden: Sequence[Forbidden]) -> Standing:
+    """`standing`, moved onto the edge of a region inside which it lies by no more than `AT_EDGE`."""
+    for region in forbidden:
+        if not _touches(region, standing, standing):
+            continue
+        edges = [
+            (abs(angle - edge), axis, edge)
+            for axis, (angle, ends) in enumerate(zip(standing, (region.sample, region.detector), strict=True))
+            for edge in ends
+        ]
+        depth, axis, edge = min(edges)
+        if depth <= AT_EDGE:
+            standing = (edge, standing[1]) if axis == 0 else (standing[0], edge)
+    return standing
