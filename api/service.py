@@ -30,6 +30,7 @@ from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
+from goniometer.safety import Forbidden, check_plan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
@@ -196,6 +197,7 @@ async def run(
     """
     check_certificate(campaign)
     _check_folders(store, campaign)
+    _check_reach(campaign, settings)
     if settings is None:
         for sample in campaign.samples:
             material(sample.material)
@@ -233,6 +235,17 @@ async def run(
             except BrokenProcessPool:
                 failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
     return RunResult(campaign_id, tuple(failures))
+
+
+def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> None:
+    """Raise `GeometryError` where the bench cannot take all that the campaign may ask for; no device is opened."""
+    limits = SAMPLE_STAGE_LIMITS, DETECTOR_STAGE_LIMITS
+    forbidden: tuple[Forbidden, ...] = ()
+    if settings is not None:
+        stages = settings.stages
+        limits = stages.sample.limits or limits[0], stages.detector.limits or limits[1]
+        forbidden = tuple(each.region for each in settings.forbidden)
+    check_plan(plan_spec(campaign), limits, forbidden)
 
 
 def _check_folders(store: Store, campaign: Campaign) -> None:

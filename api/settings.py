@@ -90,6 +90,7 @@ class OrientalAZSettings(_Stage):
     driver: Literal["oriental-az"]
     unit: int = Field(default=1, ge=1, le=247, description="Modbus unit")
     baudrate: int = Field(default=115200, gt=0, description="of a serial line")
+    parity: Literal["E", "O", "N"] = Field(default="E", description="of a serial line: even, odd or none")
     degrees_per_step: Positive = Field(default=0.01, description="of the table, as the driver is configured")
     velocity: Positive = Field(default=30.0, description="degrees/s")
     acceleration: Positive = Field(default=60.0, description="degrees/s^2")
@@ -208,6 +209,7 @@ def make_stage(name: str, settings: Family, limits: tuple[float, float], clock: 
                 clock,
                 unit=settings.unit,
                 baudrate=settings.baudrate,
+                parity=settings.parity,
                 degrees_per_step=settings.degrees_per_step,
                 velocity=velocity,
                 acceleration=acceleration,
@@ -232,11 +234,13 @@ def make_stage(name: str, settings: Family, limits: tuple[float, float], clock: 
                 timeout=timeout,
                 baudrate=settings.baudrate,
             )
-        case K10CR1Settings(velocity=velocity, acceleration=acceleration):
+        case K10CR1Settings(velocity=velocity, acceleration=acceleration, serial_number=number):
             return K10CR1(
                 name,
                 url,
                 clock,
+                # the mount's own number is that of its USB adapter, and it is asked for it
+                serial_number=int(number) if number is not None and number.isdecimal() else None,
                 velocity=velocity,
                 acceleration=acceleration,
                 limits=limits,

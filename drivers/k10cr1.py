@@ -244,7 +244,7 @@ class K10CR1(Stage):
             raise DeviceRefused(f"{self.name}: the K10CR1 refused message 0x{number:04X}: {words} (code {code})")
 
     async def _info(self) -> apt.Info:
-        return apt.Info.read(await self._port.ask(INFO))
+        return await self._read_twice(INFO, apt.Info.read)
 
     async def _read_status(self) -> apt.Status:
         return await self._read_twice(STATUS, apt.Status.read, _alike)

@@ -73,6 +73,7 @@ class ModbusLine:
         self._client: AsyncModbusTcpClient | AsyncModbusSerialClient | None = None
         self._turn = asyncio.Lock()
         self._in_step = False
+        self._overtakings = 0
         self._arrived: list[bytes] = []
         """What pymodbus looked at since the last request, whole frames and their beginnings."""
 
@@ -124,7 +125,7 @@ class ModbusLine:
         """Write registers from `address` on; raises as `read` does.
 
         More than one of `attempts` are for what may be done twice only. After `DeviceTimeout` and `ProtocolError` the
-        registers may have been written or not.
+        registers may have been written or not. `DeviceRefused` also when `write_at_once` has overtaken it.
         """
         request = self._write_request(address, words)
         await self._ask(
@@ -132,14 +133,16 @@ class ModbusLine:
             lambda reply: (reply.address, reply.count) == (address, len(words)),
             f"writing register {address:#06x}",
             attempts,
+            self._overtakings,
         )
 
     def write_at_once(self, address: int, words: list[int]) -> None:
         """Put the request to write on the wire at once, even while another one waits for its reply.
 
-        This is how a stop overtakes everything else. Whether it arrived is not known: write again. Raises
-        `DeviceDisconnected`.
+        This is how a stop overtakes everything else: writes that were asked for before and are not on the wire yet
+        never get there. Whether it arrived is not known: write again. Raises `DeviceDisconnected`.
         """
+        self._overtakings += 1
         client = self._connected()
         request = self._write_request(address, words)
         request.transaction_id = OVERTAKING
@@ -176,22 +179,34 @@ class ModbusLine:
         return WriteMultipleRegistersRequest(address=address, registers=words, dev_id=self._unit)
 
     async def _ask(
-        self, request: ModbusPDU, wanted: Callable[[ModbusPDU], bool], what: str, attempts: int
+        self,
+        request: ModbusPDU,
+        wanted: Callable[[ModbusPDU], bool],
+        what: str,
+        attempts: int,
+        given_after: int | None = None,
     ) -> ModbusPDU:
         for attempt in range(1, attempts):
             try:
-                return await self._converse(request, wanted, what)
+                return await self._converse(request, wanted, what, given_after)
             except (DeviceTimeout, ProtocolError) as error:
                 log.warning("%s; trying again (attempt %d of %d)", error, attempt + 1, attempts)
-        return await self._converse(request, wanted, what)
+        return await self._converse(request, wanted, what, given_after)
 
-    async def _converse(self, request: ModbusPDU, wanted: Callable[[ModbusPDU], bool], what: str) -> ModbusPDU:
-        """Send `request` when its turn comes and return the reply, if that is `wanted`."""
+    async def _converse(
+        self, request: ModbusPDU, wanted: Callable[[ModbusPDU], bool], what: str, given_after: int | None
+    ) -> ModbusPDU:
+        """Send `request` when its turn comes and return the reply, if that is `wanted`.
+
+        A write was given after so many overtakings, and is dropped if there was another since.
+        """
         async with self._turn:
             if self._port is None and not self._in_step:
                 await self._bring_into_step()
             self._in_step = False
             self._arrived.clear()
+            if given_after is not None and given_after != self._overtakings:
+                raise DeviceRefused(f"{self._name}: was stopped before {what}; give the command again")
             reply = await self._exchange(request)
             if self._port is None:
                 await self._close_exchange(reply, what)

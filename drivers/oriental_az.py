@@ -10,6 +10,7 @@ import logging
 
 from drivers.clock import Clock
 from drivers.errors import (
+    DeviceDisconnected,
     DeviceFault,
     DeviceNotFound,
     DeviceRefused,
@@ -110,9 +111,13 @@ class OrientalAZ(Stage):
         try:
             await self.state()
             await self._set_input(0)  # whoever used the device before may have left a bit raised
-        except (DeviceTimeout, DeviceRefused) as error:
+        except (DeviceTimeout, DeviceDisconnected) as error:
             await self.close()
-            message = f"{self.name}: what answers at {self._line.address} is no AZ driver"
+            message = f"{self.name}: no AZ driver answers at {self._line.address}"
+            raise DeviceNotFound(message + "; check its power, its cable, the address and the unit") from error
+        except DeviceRefused as error:
+            await self.close()
+            message = f"{self.name}: what answers at {self._line.address} does not behave as an AZ driver ({error})"
             raise DeviceNotFound(message + "; check the address and the unit") from error
         except DriverError:
             await self.close()

@@ -15,7 +15,7 @@ there is nothing to tell. No real device was touched.
 import asyncio
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -237,14 +237,20 @@ class OwisPS(Stage):
         """Initialise the axis, which clears a fault, leave a limit switch, then begin to search."""
         await self._message()  # forget an older one
         await self._send("INIT")
-        await self._wait("is not ready", lambda look: look.phase is StagePhase.READY, INITIALISING_TIME)
+        await self._wait("is not ready", _is_ready, INITIALISING_TIME)
         await self._set_speed()
         if (await self._look()).switches & LIMIT_SWITCHES:
             log.warning("%s: stands on a limit switch; leaving it", self.name)
             await self._send("EFREE")
             await self._wait("stands on its limit switch", _is_released, RELEASING_TIME)
         await self._send("REF", f"={int(self._reference_mode)}")
-        await self._wait("does not search for its reference", lambda look: look.phase is StagePhase.HOMING, START_TIME)
+        await self._wait("does not search for its reference", self._searches_or_stands_at_zero, START_TIME)
+
+    async def _searches_or_stands_at_zero(self, look: Look) -> bool:
+        """A short search may be over before anybody looks; it leaves the axis at its reference, where counts begin."""
+        if look.phase is StagePhase.READY and self._is_at(0, look.counts):
+            return await self._referenced()
+        return look.phase is StagePhase.HOMING
 
     async def _begin_move(self, reading: float) -> None:
         state = await self._read_state()
@@ -258,18 +264,18 @@ class OwisPS(Stage):
         target = await self._set("PSET", reading * self._counts_per_degree)
         await self._send("PGO")
 
-        def has_begun(look: Look) -> bool:
+        async def has_begun(look: Look) -> bool:
             return look.phase is not StagePhase.READY or self._is_at(target, look.counts)
 
         await self._wait("does not move", has_begun, START_TIME)
 
-    async def _wait(self, otherwise: str, condition: Callable[[Look], bool], seconds: float) -> None:
+    async def _wait(self, otherwise: str, condition: Callable[[Look], Awaitable[bool]], seconds: float) -> None:
         """Look until `condition` holds. Raises `DeviceFault` or `DeviceRefused` when it does not after `seconds`."""
         begin = self._clock.now()
         while True:
             elapsed = self._clock.now() - begin
             look = await self._look()
-            if condition(look):
+            if await condition(look):
                 return
             if elapsed > seconds:
                 break
@@ -381,7 +387,11 @@ def _has_form(pattern: re.Pattern[bytes]) -> Callable[[bytes], bool]:
     return lambda reply: pattern.fullmatch(reply) is not None
 
 
-def _is_released(look: Look) -> bool:
+async def _is_ready(look: Look) -> bool:
+    return look.phase is StagePhase.READY
+
+
+async def _is_released(look: Look) -> bool:
     return look.phase is StagePhase.READY and not look.switches & LIMIT_SWITCHES
 
 

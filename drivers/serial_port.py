@@ -9,6 +9,7 @@ whose answer cannot be mistaken is sent first, and whatever arrives before that 
 
 import contextlib
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 import serial
 
 from drivers.device_thread import DeviceThread
-from drivers.errors import DeviceDisconnected, DeviceNotFound, DeviceTimeout, ProtocolError
+from drivers.errors import DeviceDisconnected, DeviceNotFound, DeviceRefused, DeviceTimeout, ProtocolError
 
 try:
     import termios
@@ -60,6 +61,16 @@ def line(terminator: bytes) -> Missing:
     return lambda data: 0 if data.endswith(terminator) else 1
 
 
+def _send_at_once(port: serial.Serial) -> None:
+    """Let a terminal server have each request at once.
+
+    By itself TCP holds a request back until the one before is acknowledged, for which a command without a reply makes
+    it wait 40 ms.
+    """
+    with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as same:
+        same.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
 class SerialPort:
     """One line and the thread that waits on it.
 
@@ -88,6 +99,7 @@ class SerialPort:
         self._thread = DeviceThread(name)
         self._port: serial.Serial | None = None
         self._writing = threading.Lock()
+        self._overtakings = 0
         self._in_step = True
 
     async def open(self) -> None:
@@ -103,8 +115,10 @@ class SerialPort:
 
         A request that does more than ask must not be repeated: it gets one of `attempts`. Raises `DeviceTimeout`
         when no reply comes in time, `ProtocolError` when only others come, `DeviceDisconnected` when the line is
-        gone.
+        gone, and `DeviceRefused` for a request with one attempt that `send_now` has overtaken.
         """
+        if attempts == 1:
+            return await self._thread.run(self._converse, query, self._overtakings)
         for attempt in range(1, attempts):
             try:
                 return await self._thread.run(self._converse, query)
@@ -114,13 +128,15 @@ class SerialPort:
 
     async def send(self, command: bytes) -> None:
         """Send `command`, which has no reply, after what waits already. Raises as `ask` does."""
-        await self._thread.run(self._write, command)
+        await self._thread.run(self._write, command, self._overtakings)
 
     def send_now(self, command: bytes) -> None:
         """Put `command`, which has no reply, on the wire at once, even while an exchange waits for its own reply.
 
-        This is how a stop overtakes everything else. Raises as `ask` does.
+        This is how a stop overtakes everything else: commands that were given before and are not on the wire yet
+        never get there. Raises as `ask` does.
         """
+        self._overtakings += 1
         self._write(command)
 
     # what follows blocks and, but for a write at once, runs in the device's thread
@@ -136,6 +152,8 @@ class SerialPort:
                 rtscts=self._rtscts,
                 exclusive=True,
             )
+            if self._url.startswith("socket://"):
+                _send_at_once(self._port)
         except OPEN_ERRORS as error:
             message = f"{self._name}: cannot open {self._url} ({error}); check its power, its cable and the address"
             raise DeviceNotFound(message) from error
@@ -157,32 +175,35 @@ class SerialPort:
         message = f"{self._name}: the connection to {self._url} is lost ({error}); check the cable, then reopen it"
         return DeviceDisconnected(message)
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, given_after: int | None = None) -> None:
+        """Write `data`; a command was given after so many overtakings, and is dropped if there was another since."""
         port = self._opened()
         try:
             with self._writing:
+                if given_after is not None and given_after != self._overtakings:
+                    raise DeviceRefused(f"{self._name}: was stopped before {data!r} was sent; give the command again")
                 port.write(data)
         except serial.SerialTimeoutException as error:
             raise DeviceTimeout(f"{self._name}: {self._url} took no bytes for {self._timeout:g} s") from error
         except PORT_ERRORS as error:
             raise self._lost(error) from error
 
-    def _converse(self, query: Query) -> bytes:
+    def _converse(self, query: Query, given_after: int | None = None) -> bytes:
         if not self._in_step:
             self._exchange(self._unmistakable)
         self._in_step = False
-        reply = self._exchange(query)
+        reply = self._exchange(query, given_after)
         self._in_step = True
         return reply
 
-    def _exchange(self, query: Query) -> bytes:
+    def _exchange(self, query: Query, given_after: int | None = None) -> bytes:
         """Send a query and return the first reply that answers it; others that come before are dropped."""
         port = self._opened()
         try:
             port.reset_input_buffer()
         except PORT_ERRORS as error:
             raise self._lost(error) from error
-        self._write(query.request)
+        self._write(query.request, given_after)
         deadline = time.monotonic() + self._timeout
         reply, dropped = b"", b""
         while True:

@@ -7,6 +7,7 @@ degrees when the stage is a rotation stage.
 The answer to `VE` (revision) was not checked on a device; it is only shown.
 """
 
+import logging
 import math
 import re
 
@@ -14,19 +15,21 @@ from drivers.clock import Clock
 from drivers.errors import DeviceNotFound, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.interfaces import StagePhase, StageState
 from drivers.serial_port import ATTEMPTS, Query, SerialPort, line
-from drivers.stage import DIRECTLY, Mounting, Stage
+from drivers.stage import AT_REST, DIRECTLY, Mounting, Stage
+
+log = logging.getLogger(__name__)
 
 END = b"\r\n"
 """Of every line, either way."""
-NUMBER = rb"\s*[-+]?\d+(\.\d*)?([eE][-+]?\d+)?\s*"
-"""How a number is written; "nan" is none."""
+NUMBER = rb"\s*[-+]?\d{1,20}(\.\d*)?([eE][-+]?\d{1,2})?\s*"
+"""How a number is written; "nan" is none, nor is one so long that it would be infinite."""
 ANSWERS = {
     "TS": rb"[0-9A-Fa-f]{6}",
     "TP": NUMBER,
     "VA": NUMBER,
     "AC": NUMBER,
     "TE": rb"[@A-Z]",
-    "VE": rb".*",
+    "VE": rb"[ -~]*",
 }
 """What stands behind the address and letters of an answer; one that looks otherwise was spoilt on the line."""
 SAME_SPEED = 1e-3
@@ -165,7 +168,18 @@ class SMC100(Stage):
         raise ProtocolError(f"{self.name}: {code:02X} is no state of an SMC100")
 
     async def _read_position(self) -> float:
-        return await self._ask_number("TP")
+        """It must come twice: an answer to an earlier question looks like this one's."""
+        now = await self._ask_number("TP")
+        for _ in range(ATTEMPTS):
+            before, now = now, await self._ask_number("TP")
+            if abs(now - before) <= AT_REST or await self._moves():
+                return now
+            log.warning("%s: reads %.5f° and then %.5f° at rest; asking again", self.name, before, now)
+        raise ProtocolError(f"{self.name}: never reads the same position twice at rest; check the cable and the brake")
+
+    async def _moves(self) -> bool:
+        code = int((await self._ask("TS"))[4:], 16)
+        return any(code in codes and phase in {StagePhase.MOVING, StagePhase.HOMING} for codes, phase in PHASES)
 
     async def _set_velocity(self, velocity: float) -> None:
         await self._command(f"VA{velocity:.5f}")

@@ -21,7 +21,7 @@ from drivers.errors import (
 from drivers.interfaces import RotationStage, StagePhase
 from drivers.smc100 import SMC100
 from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
+from simulators.faults import Fault, FaultScript, Kind
 from simulators.motion import Axis
 from simulators.smc100 import SimulatedSMC100
 
@@ -523,5 +523,21 @@ def test_an_encoder_that_has_drifted_and_a_command_that_is_refused_are_reported(
         bench.befall("at 4 drift")
         with pytest.raises(DeviceFault, match=r"rest at 30\.500° instead of 30\.000°"):
             await stage.move_to(30.0)
+
+    bench.run(scenario)
+
+
+def test_a_command_that_a_stop_overtakes_never_reaches_the_device(bench: Bench) -> None:
+    async def scenario(stage: SMC100) -> None:
+        bench.simulator.script = FaultScript([Fault(Kind.LOSE_REPLY, 1)])
+        # the question before the move waits for its lost answer in the device's thread, and the move behind it
+        waiting = [asyncio.create_task(stage.position()), asyncio.create_task(stage._begin_move(80.0))]
+        await asyncio.sleep(0.03)
+        await stage.stop()
+        with pytest.raises(DeviceRefused, match="was stopped before"):
+            await waiting[1]
+        await waiting[0]
+        assert not bench.axis.moving()
+        assert (await stage.move_to(10.0)) == 10.0
 
     bench.run(scenario)
