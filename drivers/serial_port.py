@@ -13,7 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import serial
 
@@ -71,8 +71,34 @@ def _send_at_once(port: serial.Serial) -> None:
         same.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
+@dataclass
+class _Line:
+    """An open line, and all that its devices share: several controllers, or axes of one, may hang on it."""
+
+    thread: DeviceThread
+    """Does what blocks, for one device after the other."""
+    baudrate: int
+    writing: threading.Lock = field(default_factory=threading.Lock)
+    port: serial.Serial | None = None
+    users: int = 0
+    in_step: bool = True
+    is_lost: bool = False
+    """Whether the port must be opened anew before it is of any use."""
+
+    def close(self) -> None:
+        """Close the port."""
+        port, self.port = self.port, None
+        if port is not None:
+            with contextlib.suppress(*PORT_ERRORS):  # a line that is gone is closed
+                port.close()
+
+
+_LINES: dict[str, _Line] = {}
+"""The open lines of this process by their URL: the operating system gives a port away only once."""
+
+
 class SerialPort:
-    """One line and the thread that waits on it.
+    """The line to one device, which several devices may share.
 
     `name` is the device's, for messages; `timeout` bounds each write and each reply, in seconds; `missing` tells
     where a reply ends; `unmistakable` is the query that brings a line back into step.
@@ -96,19 +122,38 @@ class SerialPort:
         self._missing = missing
         self._unmistakable = unmistakable
         self._rtscts = rtscts
-        self._thread = DeviceThread(name)
-        self._port: serial.Serial | None = None
-        self._writing = threading.Lock()
+        self._line: _Line | None = None
         self._overtakings = 0
-        self._in_step = True
 
     async def open(self) -> None:
-        """Open the line with eight data bits, no parity and one stop bit. Raises `DeviceNotFound`."""
-        await self._thread.run(self._open)
+        """Open the line with eight data bits, no parity and one stop bit, or join those that have it open.
+
+        Raises `DeviceNotFound`.
+        """
+        await self.close()
+        line = self._line = _LINES.setdefault(self._url, _Line(DeviceThread(self._name), self._baudrate))
+        line.users += 1
+        try:
+            if line.baudrate != self._baudrate:
+                raise DeviceNotFound(
+                    f"{self._name}: {self._url} is open at {line.baudrate} Bd for another device; "
+                    f"give both the same baud rate, or a line each"
+                )
+            await line.thread.run(self._open, line)
+        except BaseException:  # a cancellation, too
+            await self.close()
+            raise
 
     async def close(self) -> None:
-        """Close the line; harmless when it is closed or gone."""
-        await self._thread.finish(self._close)
+        """Leave the line, and close it when nobody uses it any more; harmless when it is closed or gone."""
+        line, self._line = self._line, None
+        if line is None:
+            return
+        line.users -= 1
+        if line.users == 0:
+            if _LINES.get(self._url) is line:
+                del _LINES[self._url]
+            await line.thread.finish(line.close)
 
     async def ask(self, query: Query, attempts: int = ATTEMPTS) -> bytes:
         """Send `query` and return its reply, whole as it came.
@@ -117,18 +162,20 @@ class SerialPort:
         when no reply comes in time, `ProtocolError` when only others come, `DeviceDisconnected` when the line is
         gone, and `DeviceRefused` for a request with one attempt that `send_now` has overtaken.
         """
+        line = self._joined()
         if attempts == 1:
-            return await self._thread.run(self._converse, query, self._overtakings)
+            return await line.thread.run(self._converse, line, query, self._overtakings)
         for attempt in range(1, attempts):
             try:
-                return await self._thread.run(self._converse, query)
+                return await line.thread.run(self._converse, line, query)
             except (DeviceTimeout, ProtocolError) as error:
                 log.warning("%s; asking again (attempt %d of %d)", error, attempt + 1, attempts)
-        return await self._thread.run(self._converse, query)
+        return await line.thread.run(self._converse, line, query)
 
     async def send(self, command: bytes) -> None:
         """Send `command`, which has no reply, after what waits already. Raises as `ask` does."""
-        await self._thread.run(self._write, command, self._overtakings)
+        line = self._joined()
+        await line.thread.run(self._write, line, command, self._overtakings)
 
     def send_now(self, command: bytes) -> None:
         """Put `command`, which has no reply, on the wire at once, even while an exchange waits for its own reply.
@@ -137,14 +184,25 @@ class SerialPort:
         never get there. Raises as `ask` does.
         """
         self._overtakings += 1
-        self._write(command)
+        self._write(self._joined(), command)
 
-    # what follows blocks and, but for a write at once, runs in the device's thread
+    def _joined(self) -> _Line:
+        if self._line is None:
+            raise self._not_open()
+        return self._line
 
-    def _open(self) -> None:
-        self._close()
+    def _not_open(self) -> DeviceDisconnected:
+        return DeviceDisconnected(f"{self._name}: {self._url} is not open; open the device first")
+
+    # what follows blocks and, but for a write at once, runs in the line's thread
+
+    def _open(self, line: _Line) -> None:
+        line.in_step = False  # whoever used the line before may have left a reply behind
+        if line.port is not None and not line.is_lost:
+            return
+        line.close()
         try:
-            self._port = serial.serial_for_url(
+            line.port = serial.serial_for_url(
                 self._url,
                 baudrate=self._baudrate,
                 timeout=min(SLICE, self._timeout),
@@ -153,57 +211,49 @@ class SerialPort:
                 exclusive=True,
             )
             if self._url.startswith("socket://"):
-                _send_at_once(self._port)
+                _send_at_once(line.port)
         except OPEN_ERRORS as error:
             message = f"{self._name}: cannot open {self._url} ({error}); check its power, its cable and the address"
             raise DeviceNotFound(message) from error
-        self._in_step = False  # whoever used the line before may have left a reply behind
+        line.is_lost = False
 
-    def _close(self) -> None:
-        port, self._port = self._port, None
-        if port is not None:
-            with contextlib.suppress(*PORT_ERRORS):  # a line that is gone is closed
-                port.close()
-
-    def _opened(self) -> serial.Serial:
-        port = self._port
-        if port is None:
-            raise DeviceDisconnected(f"{self._name}: {self._url} is not open; open the device first")
-        return port
-
-    def _lost(self, error: Exception) -> DeviceDisconnected:
+    def _lost(self, line: _Line, error: Exception) -> DeviceDisconnected:
+        line.is_lost = True
         message = f"{self._name}: the connection to {self._url} is lost ({error}); check the cable, then reopen it"
         return DeviceDisconnected(message)
 
-    def _write(self, data: bytes, given_after: int | None = None) -> None:
+    def _write(self, line: _Line, data: bytes, given_after: int | None = None) -> None:
         """Write `data`; a command was given after so many overtakings, and is dropped if there was another since."""
-        port = self._opened()
+        if line.port is None:
+            raise self._not_open()
         try:
-            with self._writing:
+            with line.writing:
                 if given_after is not None and given_after != self._overtakings:
                     raise DeviceRefused(f"{self._name}: was stopped before {data!r} was sent; give the command again")
-                port.write(data)
+                line.port.write(data)
         except serial.SerialTimeoutException as error:
             raise DeviceTimeout(f"{self._name}: {self._url} took no bytes for {self._timeout:g} s") from error
         except PORT_ERRORS as error:
-            raise self._lost(error) from error
+            raise self._lost(line, error) from error
 
-    def _converse(self, query: Query, given_after: int | None = None) -> bytes:
-        if not self._in_step:
-            self._exchange(self._unmistakable)
-        self._in_step = False
-        reply = self._exchange(query, given_after)
-        self._in_step = True
+    def _converse(self, line: _Line, query: Query, given_after: int | None = None) -> bytes:
+        if not line.in_step:
+            self._exchange(line, self._unmistakable)
+        line.in_step = False
+        reply = self._exchange(line, query, given_after)
+        line.in_step = True
         return reply
 
-    def _exchange(self, query: Query, given_after: int | None = None) -> bytes:
+    def _exchange(self, line: _Line, query: Query, given_after: int | None = None) -> bytes:
         """Send a query and return the first reply that answers it; others that come before are dropped."""
-        port = self._opened()
+        port = line.port
+        if port is None:
+            raise self._not_open()
         try:
             port.reset_input_buffer()
         except PORT_ERRORS as error:
-            raise self._lost(error) from error
-        self._write(query.request, given_after)
+            raise self._lost(line, error) from error
+        self._write(line, query.request, given_after)
         deadline = time.monotonic() + self._timeout
         reply, dropped = b"", b""
         while True:
@@ -222,7 +272,7 @@ class SerialPort:
                 try:
                     reply += port.read(missing)
                 except PORT_ERRORS as error:
-                    raise self._lost(error) from error
+                    raise self._lost(line, error) from error
         if dropped:
             raise ProtocolError(
                 f"{self._name}: {dropped!r} is no answer to {query.request!r}; check that this is the right device"

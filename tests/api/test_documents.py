@@ -1,5 +1,8 @@
 """What the documents show is what the program takes."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 from api.settings import load_instrument
@@ -19,3 +22,13 @@ def test_the_instrument_in_the_documents_is_accepted() -> None:
     shown = load_instrument(ROOT / "docs" / "instrument.toml")
     assert (shown.stages.sample.driver, shown.stages.detector.driver) == ("smc100", "oriental-az")
     assert (shown.geometry.u_angle, shown.geometry.aperture, shown.spectrometer.gain) == (0.005, 1.0, 5.0)
+
+
+def test_the_script_in_the_documents_breaks_a_stage_and_the_driver_survives() -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "simulated-laboratory.md").read_text(), re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    *moves, happened = done.stdout.splitlines()
+    assert [line.split() for line in moves] == [[str(angle), f"{angle}.0"] for angle in range(0, 90, 10)]
+    assert "LOSE_REPLY" in happened
+    assert "CORRUPT" in happened
+    assert "asking again" in done.stderr

@@ -589,3 +589,49 @@ def test_a_real_tty_works_and_its_unplugging_is_noticed(bench: Bench) -> None:
             await stage.position()
 
     bench.run(scenario)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_both_stages_of_a_bench_may_hang_on_one_controller(bench: Bench) -> None:
+    bench.url = bench.simulator.start_pty()
+    sample, detector = bench.driver(timeout=0.2), bench.driver(axis=3, timeout=0.2)
+
+    async def scenario() -> None:
+        # two openings of one terminal would take each other's replies, so it is opened exclusively, and only once
+        await asyncio.gather(sample.open(), detector.open())
+        await asyncio.gather(sample.home(), detector.home())
+        bench.strike("every 41 lose-reply\nevery 59 foreign")
+        for angle in (10.0, 20.0, 30.0):
+            assert await asyncio.gather(sample.move_to(angle), detector.move_to(2 * angle)) == [angle, 2 * angle]
+        bench.strike("")
+        # the one that leaves takes nothing from the other
+        await sample.close()
+        assert await detector.move_to(5.0) == 5.0
+        with pytest.raises(DeviceDisconnected, match="not open"):
+            await sample.position()
+        await sample.open()
+        bench.simulator.unplug()
+        for stage in (sample, detector):
+            with pytest.raises(DeviceDisconnected):
+                await stage.position()
+        bench.simulator.start_pty()
+        for stage in (sample, detector):
+            await stage.close()
+            await stage.open()
+        assert await asyncio.gather(sample.move_to(40.0), detector.move_to(7.0)) == [40.0, 7.0]
+        await sample.close()
+        await detector.close()
+
+    before = threading.active_count()
+    asyncio.run(scenario())
+    assert threading.active_count() <= before
+
+
+def test_a_line_cannot_have_two_baud_rates(bench: Bench) -> None:
+    async def scenario(stage: OwisPS) -> None:
+        other = OwisPS("other", bench.url, bench.clock, counts_per_degree=1.0, baudrate=19200)
+        with pytest.raises(DeviceNotFound, match="9600 Bd"):
+            await other.open()
+        assert await stage.move_to(3.0) == 3.0
+
+    bench.run(scenario)
