@@ -184,10 +184,14 @@ def load_instrument(path: Path) -> InstrumentSettings:
         raise ConfigurationError(f"{path}: is not UTF-8 text; save it as such.") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from error
+    except RecursionError as error:
+        raise ConfigurationError(f"{path}: is nested too deeply; an instrument file needs three levels.") from error
     except ValidationError as error:
         # a misspelt key explains the missing one
         first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         raise ConfigurationError(f"{path}: {_sentence(first)}") from error
+    except ValueError as error:  # a number of thousands of digits
+        raise ConfigurationError(f"{path}: holds a value that is not possible ({error}).") from error
 
 
 def make_stage(name: str, settings: Family, limits: tuple[float, float], clock: Clock) -> RotationStage:

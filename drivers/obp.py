@@ -104,6 +104,8 @@ def decode(data: bytes) -> Message:
         raise ProtocolError(f"a message has protocol version {protocol:#06x}; {_PROTOCOL:#06x} was expected")
     if footer != _FOOTER:
         raise ProtocolError(f"a message ends with {footer:#010x}; {_FOOTER:#010x} was expected")
+    if checksum_type not in {_NO_CHECKSUM, _MD5}:
+        raise ProtocolError(f"a message has a checksum of type {checksum_type}; {_NO_CHECKSUM} or {_MD5} was expected")
     if checksum_type == _MD5 and checksum != hashlib.md5(data[: -_TAIL.size], usedforsecurity=False).digest():
         raise ProtocolError("a message does not match its checksum; check the USB cable")
     if length > _LARGEST_IMMEDIATE or (length and payload):

@@ -10,6 +10,7 @@ That ticks are microseconds since the device was switched on is from memory.
 import asyncio
 import contextlib
 import logging
+import math
 import struct
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
@@ -126,7 +127,10 @@ class QEPro:
 
     async def temperature(self) -> float:
         """Of the detector now, degrees Celsius."""
-        return await self._run(QEProWire.ask, TEMPERATURE, "<f")
+        temperature = await self._run(QEProWire.ask, TEMPERATURE, "<f")
+        if not math.isfinite(temperature):
+            raise ProtocolError(f"{self.name}: says that its detector is at {temperature} °C; switch it off and on")
+        return temperature
 
     async def wait_until_cold(self) -> None:
         """Wait until the cooler is stable and the detector at its set point.

@@ -170,10 +170,12 @@ class SMC100(Stage):
     async def _read_position(self) -> float:
         """It must come twice: an answer to an earlier question looks like this one's."""
         now = await self._ask_number("TP")
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             before, now = now, await self._ask_number("TP")
             if abs(now - before) <= AT_REST or await self._moves():
                 return now
+            if attempt == 0:
+                continue  # a motion that ended in between does this, too
             log.warning("%s: reads %.5f° and then %.5f° at rest; asking again", self.name, before, now)
         raise ProtocolError(f"{self.name}: never reads the same position twice at rest; check the cable and the brake")
 

@@ -335,7 +335,9 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 
 def _sentence(fault: ErrorDetails, model: type[BaseModel]) -> str:
     """One pydantic error in words."""
-    parts = [part for part in fault["loc"] if part not in {"steps", "list"}]  # the tags of `Incident`
+    loc = fault["loc"]
+    tagged = loc[:1] == ("incident",) and loc[1:2] in {("steps",), ("list",)}
+    parts = [*loc[:1], *loc[2:]] if tagged else list(loc)  # without the tag of `Incident`
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
     given = fault["input"]
     match fault["type"]:

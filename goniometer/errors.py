@@ -26,9 +26,12 @@ class GoniometerError(Exception):
 
 
 class InputError(GoniometerError):
-    """What the user gave cannot be right."""
+    """What the user gave cannot be right; what is quoted of it stays on one line, control characters as escapes."""
 
     exit_code = 2
+
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 
 class CampaignError(InputError):

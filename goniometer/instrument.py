@@ -97,6 +97,8 @@ class Instrument:
         self._detector_target: float | None = None
         self._shutter_open: bool | None = None
         self._last_count: int | None = None
+        # names of stages that did not read what they read when they were left
+        self._astray: set[str] = set()
         # None until the first spectrum; they stay when devices are reopened, as the scan goes on
         self._pixels: int | None = None
         self._temperature: float | None = None
@@ -169,14 +171,15 @@ class Instrument:
 
         Both move at once where no forbidden region lies between, else one after the other. Raises `GeometryError`
         before anything moves where the arm cannot go; `DeviceFault` where a stage is not ready, e.g. because it was
-        switched off and on between two points, or does not read back where it was sent; `ProtocolError` where it
-        reads two different angles at rest.
+        switched off and on between two points, does not read what it read when it was left, or does not read back
+        where it was sent; `ProtocolError` where it reads two different angles at rest.
         """
         self.check(geometry)
         wanted = geometry.sample_angle, geometry.detector_angle
         targets = self._sample_target, self._detector_target
         self._forget_targets()
         here = await _both(_ready(self._sample_stage), _ready(self._detector_stage))
+        self._check_left(targets, here)
         for stop in safe_path(here, wanted, self.forbidden):
             # on the way only the stage moves whose turn it is; in the end each that was not sent there before
             stays = [targets[axis] == wanted[axis] if stop == wanted else stop[axis] == here[axis] for axis in range(2)]
@@ -231,8 +234,9 @@ class Instrument:
     async def recover(self) -> None:
         """Make every device usable again after a fault; the shutter is closed then, and the lamp on.
 
-        The spectrometer is reopened, which cools it; so is a stage that does not answer; one that is not ready is
-        homed. This is tried once, and again after each of `RECOVERY_PAUSES`; then what is wrong is raised.
+        The spectrometer is reopened, which cools it; so is a stage that does not answer; one that is not ready, or
+        has lost count, is homed. This is tried once, and again after each of `RECOVERY_PAUSES`; then what is wrong is
+        raised.
         """
         for pause in RECOVERY_PAUSES:
             try:
@@ -248,6 +252,13 @@ class Instrument:
         faults = await _faults(self._sample_stage.close(), self._detector_stage.close(), self._spectrometer.close())
         if faults:
             raise faults[0]
+
+    def _check_left(self, left: tuple[float | None, float | None], here: tuple[float, float]) -> None:
+        """Raise `DeviceFault` where a stage has lost count since it was left; one without encoder shows it only now."""
+        for stage, angle, reads in zip((self._sample_stage, self._detector_stage), left, here, strict=True):
+            if angle is not None and not abs(reads - angle) <= ARRIVAL:
+                self._astray.add(stage.name)
+                raise DeviceFault(f"{stage.name}: reads {reads:.3f}° where it was left at {angle:.3f}°; home it")
 
     def _forget_targets(self) -> None:
         self._sample_target = self._detector_target = None
@@ -323,7 +334,9 @@ class Instrument:
                 state = await stage.state()
             if state.phase is not StagePhase.READY:
                 log.warning("%s (homing it)", _not_ready(stage, state))
+            if state.phase is not StagePhase.READY or stage.name in self._astray:
                 await stage.home()
+                self._astray.discard(stage.name)
 
 
 def _not_ready(stage: RotationStage, state: StageState) -> str:
@@ -348,9 +361,6 @@ async def _ready(stage: RotationStage) -> float:
 
 async def _settle(stage: RotationStage, here: float, wanted: float, *, stays: bool) -> float:
     """Bring one stage from `here` to `wanted`, unless it stays; returns the angle read back."""
-    if stays and abs(here - wanted) > ARRIVAL:
-        log.warning("%s: reads %.3f° where it was left at %.3f°; moving it back", stage.name, here, wanted)
-        stays = False
     reached = await stage.position() if stays else await stage.move_to(wanted)
     if stays and abs(reached - here) > TWICE:
         raise ProtocolError(

@@ -249,12 +249,12 @@ class Line:
 
 
 FORM = re.compile(
-    r"(?:at (?P<at>\d+)|every (?P<every>\d+)|from (?P<first>\d+)(?: every (?P<again>\d+))?)"
+    r"(?:at (?P<at>\d{1,9})|every (?P<every>\d{1,9})|from (?P<first>\d{1,9})(?: every (?P<again>\d{1,9}))?)"
     r" (?P<kind>[a-z-]+)"
-    r"(?: (?P<seconds>\d+(?:\.\d*)?) ?s)?"
-    r"(?: (?P<times>\d+) times)?"
+    r"(?: (?P<seconds>\d{1,9}(?:\.\d*)?) ?s)?"
+    r"(?: (?P<times>\d{1,9}) times)?"
 )
-"""A line of a script, with single blanks."""
+"""A line of a script, with single blanks and no number that could be too large."""
 
 
 def _fault(words: str) -> Fault:

@@ -22,8 +22,14 @@ REQUEST_ENABLED, TELL_ENABLED = 0x0211, 0x0212
 REQUEST_POSITION, TELL_POSITION = 0x0411, 0x0412
 REQUEST_BITS, TELL_BITS = 0x0429, 0x042A
 START_UPDATES = 0x0011
-COMMANDS = {apt.SET_ENABLED, apt.SET_VELOCITY, apt.SET_HOMING, apt.HOME, apt.MOVE_TO}
-"""What it may refuse."""
+COMMANDS = {
+    apt.SET_ENABLED: 0,
+    apt.SET_VELOCITY: apt.VELOCITY_DATA.size,
+    apt.SET_HOMING: apt.HOMING_DATA.size,
+    apt.HOME: 0,
+    apt.MOVE_TO: apt.MOVE_DATA.size,
+}
+"""What it may refuse, and how many bytes of data each has; it is deaf to one that has another number of them."""
 MOTION_DATA = struct.Struct("<HlHHL")
 """Of what it sends unasked when a motion has ended: channel, position, velocity, unused, status bits."""
 
@@ -100,7 +106,7 @@ class SimulatedK10CR1(ByteServer):
             START_UPDATES: lambda request: self._update(True),
             apt.STOP_UPDATES: lambda request: self._update(False),
         }
-        if number in commands:
+        if number in commands and len(request) == apt.HEADER.size + COMMANDS.get(number, 0):
             commands[number](request)
         unasked = self._unasked()
         return unasked + queries[number]() if number in queries else unasked
@@ -188,7 +194,9 @@ class SimulatedK10CR1(ByteServer):
             )
 
     def _set_homing(self, request: bytes) -> None:
-        self._homing_setting = apt.HomingSetting.read(request)
+        asked = apt.HomingSetting.read(request)
+        if asked.velocity > 0:
+            self._homing_setting = asked
 
     def _home(self, request: bytes) -> None:
         if self._ready_to_move(self._homing_setting.velocity):

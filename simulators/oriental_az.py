@@ -8,6 +8,13 @@ from pymodbus.datastore import ModbusServerContext
 from pymodbus.framer.rtu import FramerRTU
 from pymodbus.framer.socket import FramerSocket
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.diag_message import ReturnQueryDataRequest
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadWriteMultipleRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.simulator.simcore import SimCore
 
@@ -26,6 +33,16 @@ DRIFT = 0.5
 """Degrees by which a drifting encoder reads too much."""
 SLOWNESS = 10.0
 """How many times as long a slow motion takes."""
+
+
+SPOKEN = (
+    ReadHoldingRegistersRequest,
+    WriteSingleRegisterRequest,
+    WriteMultipleRegistersRequest,
+    ReadWriteMultipleRegistersRequest,
+    ReturnQueryDataRequest,
+)
+"""The Modbus functions that it knows."""
 
 
 class SimulatedOrientalAZ(ByteServer):
@@ -65,14 +82,14 @@ class SimulatedOrientalAZ(ByteServer):
 
     def answer(self, request: bytes) -> bytes:
         """The frame that answers the frame `request`; none to one for another unit or with a wrong checksum."""
-        _, unit, number, content = self._framer.decode(request)
+        unit, number, content = self._unpack(request)
         if not content or (self._rtu and unit != self._unit):
             return b""
         if unit != self._unit:
             # as a gateway does on behalf of a unit that does not exist
             return self._frame(ExceptionResponse(content[0], ExcCodes.GATEWAY_NO_RESPONSE), unit, number)
         pdu = self._decoder.decode(content)
-        if pdu is None:
+        if not isinstance(pdu, SPOKEN):
             return self._frame(ExceptionResponse(content[0], ExcCodes.ILLEGAL_FUNCTION), unit, number)
         # what it is typed as is deprecated; the servers of pymodbus pass this, too
         return self._frame(
@@ -115,7 +132,15 @@ class SimulatedOrientalAZ(ByteServer):
             return 0
         kind = self._decoder.lookupPduClass(data.ljust(4, b"\0"))
         # an unknown function ends, as far as anybody can tell, with what has come
-        return kind.calculateRtuFrameSize(data) if kind is not None else len(data)
+        return kind.calculateRtuFrameSize(data) if kind is not None and issubclass(kind, SPOKEN) else len(data)
+
+    def _unpack(self, frame: bytes) -> tuple[int, int, bytes]:
+        """Unit, number of the request and what it says; nothing where the frame is none."""
+        if not self._rtu:
+            _, unit, number, content = self._framer.decode(frame)
+            return unit, number, content
+        is_whole = FramerRTU.compute_CRC(frame[:-2]) == int.from_bytes(frame[-2:], "big")
+        return frame[0], 0, frame[1:-2] if is_whole else b""
 
     def _frame(self, reply: ModbusPDU, unit: int, number: int) -> bytes:
         return self._framer.encode(bytes([reply.function_code]) + reply.encode(), unit, number)

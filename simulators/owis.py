@@ -155,7 +155,7 @@ class SimulatedOwisPS(ByteServer):
 
     def _carry_out(self, text: str) -> str:
         """What is wrong with a command, or nothing when it was carried out."""
-        match = re.fullmatch(r"([A-Z]+)(\d?)(?:=([-+]?\d+))?", text)
+        match = re.fullmatch(r"([A-Z]+)(\d?)(?:=([-+]?\d{1,10}))?", text)
         if match is None:
             return WRONG_COMMAND
         letters, number, parameter = match.groups()

@@ -9,6 +9,8 @@ from simulators.wire import ByteServer, lines
 NOT_REFERENCED, HOMING, MOVING, READY, DISABLED = "0A", "1E", "28", "32", "3C"
 STATE_ERRORS = {NOT_REFERENCED: "H", HOMING: "L", MOVING: "M", READY: "K", DISABLED: "J"}
 """The `TE` code of a command that its state does not allow."""
+SPEEDS = 1e-6, 1e12
+"""Degrees per second, and per second squared, between which a velocity or an acceleration must lie; from memory."""
 FOLLOWING_ERROR = 0x20
 """The error bit of `TS` for a motor that does not follow."""
 
@@ -45,7 +47,7 @@ class SimulatedSMC100(ByteServer):
     def answer(self, request: bytes) -> bytes:
         """Reply to one line; a command has no reply, and whatever follows it in its line is ignored."""
         line = request.decode("ascii", errors="replace")
-        match = re.match(r"(\d+)([A-Z]{2})(\?|[-+]?\d*\.?\d*)", line)
+        match = re.match(r"(\d{1,2})([A-Z]{2})(\?|[-+]?\d*\.?\d*)", line)
         if match is None:
             self._last_error = "A"
             return b""
@@ -169,13 +171,13 @@ class SimulatedSMC100(ByteServer):
         return "@"
 
     def _set_velocity(self, value: float) -> str:
-        if value <= 0:
+        if not SPEEDS[0] < value < SPEEDS[1]:
             return "C"
         self._velocity = value
         return "@"
 
     def _set_acceleration(self, value: float) -> str:
-        if value <= 0:
+        if not SPEEDS[0] < value < SPEEDS[1]:
             return "C"
         self._acceleration = value
         return "@"

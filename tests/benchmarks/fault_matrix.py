@@ -15,59 +15,15 @@ import threading
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Any
 
-import numpy as np
-
-from drivers.arrays import CountArray
 from drivers.errors import DriverError
-from drivers.interfaces import StagePhase
-from drivers.k10cr1 import K10CR1
 from drivers.modbus_line import PAUSES
-from drivers.oriental_az import OrientalAZ
-from drivers.owis import OwisPS
-from drivers.qepro import QEPro, QEProLight
 from drivers.serial_port import ATTEMPTS
-from drivers.smc100 import SMC100
-from drivers.stage import Stage
-from simulators.clock import SimulatedClock
 from simulators.faults import LASTING, Fault, FaultScript, Kind
-from simulators.k10cr1 import SimulatedK10CR1
-from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.owis import SimulatedOwisPS
-from simulators.qepro import QEProFaults, SimulatedQEPro
-from simulators.smc100 import SimulatedSMC100
+from tests.benchmarks.rigs import DEVICES, LASTS, NAME, TIMEOUT, Rig, make_rig
 
-NAME = "device under test"
-"""Of each driver, and of its threads."""
-TIMEOUT = 0.1
-"""Real seconds that a driver waits for a reply; a fault that lasts, lasts a little longer than that."""
-LASTS = 0.12
-SAME_ANGLE = 0.02
-"""Degrees between the angle that a driver returns and where the axis stands."""
-COUNTS_PER_DEGREE = 1000.0
 BLIND = {("K10CR1", Kind.DRIFT)}
 """What a driver cannot see: a mount without encoder that has lost steps."""
-
-
-class HeldClock(SimulatedClock):
-    """A clock on which one wait can be held in its middle, so that a stop comes while a stage moves."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.hold = False
-        self.held = asyncio.Event()
-        self.let_go = asyncio.Event()
-
-    async def sleep(self, seconds: float) -> None:
-        """Let `seconds` pass, after half of them only when the holder lets go."""
-        if self.hold:
-            self.hold = False
-            self.advance_to(self.now() + seconds / 2)
-            self.held.set()
-            await self.let_go.wait()
-        await super().sleep(seconds)
 
 
 @dataclass
@@ -84,209 +40,6 @@ class Strike:
     """Real seconds, the work afterwards not included."""
     breaches: list[str] = field(default_factory=list)
     """What must never happen."""
-
-
-class Rig:
-    """A simulated device, the driver connected to it, and a day's work."""
-
-    simulator: Any
-    driver: Any
-
-    def __init__(self, breaches: list[str]) -> None:
-        self.clock = HeldClock()
-        self.breaches = breaches
-
-    async def work(self) -> None:
-        """What is done with the device every day, once it is open."""
-        raise NotImplementedError
-
-    async def revive(self) -> None:
-        """Make the device usable after a fault, as the bench does."""
-        raise NotImplementedError
-
-    def repair(self) -> None:
-        """Put right what only a person can."""
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Switch the simulator off."""
-
-
-class StageRig(Rig):
-    """A stage of one family."""
-
-    def __init__(self, breaches: list[str], family: str) -> None:
-        super().__init__(breaches)
-        self.axis = Axis(self.clock, start=3.0, velocity=20.0, acceleration=40.0, limits=(-95.0, 180.0))
-        self.simulator, self.driver = FAMILIES[family](self.axis, self.clock)
-
-    async def work(self) -> None:
-        """Home, move, stop in the middle of a move, move."""
-        stage: Stage = self.driver
-        await stage.home()
-        for angle in (12.5, 40.0):
-            self._check(angle, await stage.move_to(angle))
-        await self._stop_halfway(stage, -4.0)
-        self._check(21.25, await stage.move_to(21.25))
-        await stage.set_velocity(8.0)
-        self._check(20.0, await stage.move_to(20.0))
-        self._check(20.0, await stage.position())
-        await stage.identity()
-
-    def _check(self, wanted: float, reached: float) -> None:
-        if abs(reached - wanted) > 0.1:
-            self.breaches.append(f"returned {reached:.3f}° for {wanted:.3f}°")
-        if abs(reached - self.axis.position()) > SAME_ANGLE:
-            self.breaches.append(f"returned {reached:.3f}° while it stands at {self.axis.position():.3f}°")
-
-    async def _stop_halfway(self, stage: Stage, target: float) -> None:
-        clock = self.clock
-        clock.held, clock.let_go, clock.hold = asyncio.Event(), asyncio.Event(), True
-        move = asyncio.create_task(stage.move_to(target))
-        held = asyncio.create_task(clock.held.wait())
-        await asyncio.wait({move, held}, return_when=asyncio.FIRST_COMPLETED)
-        held.cancel()
-        clock.hold = False
-        moving = self.axis.moving()
-        try:
-            await stage.stop()
-            if moving:
-                clock.advance_to(clock.now() + 5.0)
-                if abs(self.axis.position() - target) < 0.1:
-                    self.breaches.append("went on to its target although the stop was said to be taken")
-        finally:
-            clock.let_go.set()
-            await asyncio.wait({move})
-            move.exception()  # that a stopped move does not arrive is no fault
-        begin = clock.now()
-        while (await stage.state()).phase is StagePhase.MOVING and clock.now() < begin + 10.0:
-            await clock.sleep(0.5)
-
-    async def revive(self) -> None:
-        """Reopen a stage that does not answer, home one that is not ready."""
-        stage: Stage = self.driver
-        try:
-            state = await stage.state()
-        except DriverError:
-            await stage.close()
-            await stage.open()
-            state = await stage.state()
-        if state.phase in {StagePhase.MOVING, StagePhase.HOMING}:
-            await stage.stop()
-            await self.clock.sleep(10.0)
-            state = await stage.state()
-        if state.phase is not StagePhase.READY:
-            await stage.home()
-
-    def repair(self) -> None:
-        """Undo a drift and a slowness, which are no faults that a driver could clear."""
-        for name, value in {"_encoder_error": 0.0, "_drift": 0.0, "_zero": 0.0, "_slowness": 1.0}.items():
-            if hasattr(self.simulator, name):
-                setattr(self.simulator, name, value)
-
-    def close(self) -> None:
-        """Switch the simulator off."""
-        self.simulator.close()
-
-
-class Glow:
-    """A detector whose counts tell when the integration ended, how long it was, the shutter and the lamp."""
-
-    pixels = 1044
-    wavelength_coefficients = (345.25, 0.8, -1e-5, -2e-9)
-    nonlinearity_coefficients = (0.875, 2.0**-20, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self.clock = clock
-
-    def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
-    ) -> CountArray:
-        """[1044] all alike but the first, which is the moment in hundredths of a second."""
-        counts = np.full(self.pixels, glow(integration_time, shutter_open, lamp_on))
-        counts[0] = round(100 * self.clock.now())
-        return counts.astype(np.uint32)
-
-
-def glow(integration_time: float, shutter_open: bool, lamp_on: bool) -> int:
-    """Counts of `Glow`."""
-    return round(10_000 + 1000 * integration_time) + 1000 * shutter_open + 2000 * lamp_on
-
-
-class SpectrometerRig(Rig):
-    """A QE Pro."""
-
-    def __init__(self, breaches: list[str]) -> None:
-        super().__init__(breaches)
-        self.simulator = SimulatedQEPro(Glow(self.clock), self.clock)
-        self.driver = QEPro(NAME, self.clock, usb_backend=self.simulator, timeout=TIMEOUT)
-
-    async def work(self) -> None:
-        """Dark and light spectra of several integration times, one by one and in a row."""
-        qepro: QEPro = self.driver
-        light = QEProLight(qepro)
-        await light.set_lamp(True)
-        for is_open in (False, True):
-            await light.set_shutter(is_open)
-            for seconds in (0.1, 0.5, 0.1):
-                begin = self.clock.now()
-                self._check(await qepro.expose(seconds), seconds, is_open, begin)
-        begin = self.clock.now()
-        for spectrum in await qepro.sequence(0.2, 3):
-            self._check(spectrum, 0.2, True, begin)
-        await qepro.wait_until_cold()
-        await qepro.identity()
-
-    def _check(self, spectrum: Any, seconds: float, shutter_open: bool, begin: float) -> None:
-        expected = glow(seconds, shutter_open, True)
-        if spectrum.integration_time != seconds or not (spectrum.counts[1:] == expected).all():
-            self.breaches.append(f"took {spectrum.counts[1]} counts of {spectrum.integration_time} s for {expected}")
-        if spectrum.counts[0] < round(100 * (begin + seconds)) - 1:
-            self.breaches.append("took a spectrum that had begun before it was asked for")
-        if abs(spectrum.detector_temperature + 10.0) > 0.5:
-            self.breaches.append(f"took a spectrum at {spectrum.detector_temperature:.1f} °C")
-
-    async def revive(self) -> None:
-        """Open it again, which cools it."""
-        await self.driver.open()
-
-    def repair(self) -> None:
-        """Mend the electronics and the cooler."""
-        self.simulator.faults = QEProFaults()
-
-
-def _owis(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedOwisPS([axis], clock, counts_per_degree=COUNTS_PER_DEGREE)
-    return simulator, OwisPS(NAME, simulator.start(), clock, counts_per_degree=COUNTS_PER_DEGREE, timeout=TIMEOUT)
-
-
-def _smc100(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedSMC100(axis)
-    return simulator, SMC100(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-
-def _k10cr1(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedK10CR1(axis)
-    return simulator, K10CR1(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-
-def _oriental(*, rtu: bool) -> Callable[[Axis, SimulatedClock], tuple[Any, Stage]]:
-    def make(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-        simulator = SimulatedOrientalAZ(axis, rtu=rtu)
-        return simulator, OrientalAZ(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-    return make
-
-
-FAMILIES: dict[str, Callable[[Axis, SimulatedClock], tuple[Any, Stage]]] = {
-    "SMC100": _smc100,
-    "OWIS PS": _owis,
-    "K10CR1": _k10cr1,
-    "AZ on TCP": _oriental(rtu=False),
-    "AZ on RTU": _oriental(rtu=True),
-}
-"""What makes the simulator and the driver of each family of stages."""
-DEVICES = (*FAMILIES, "QE Pro")
 
 
 class _Warnings(logging.Handler):
@@ -312,7 +65,7 @@ def longest(device: str, happened: int) -> float:
 
 def requests_of(device: str) -> int:
     """How many requests a day's work takes where nothing goes wrong."""
-    rig = _rig(device, [])
+    rig = make_rig(device, [])
 
     async def day() -> None:
         await rig.driver.open()
@@ -330,7 +83,7 @@ def strike(device: str, kind: Kind, at: int, *, times: int = 1, seed: int = 0) -
     """Let `kind` befall the request `at` and those after it, `times` in all, on a day's work with `device`."""
     result = Strike()
     before = _descriptors()
-    rig = _rig(device, result.breaches)
+    rig = make_rig(device, result.breaches)
     rig.simulator.script = FaultScript([Fault(kind, at, times, seconds=LASTS if kind in LASTING else 0.0)], seed)
     script = rig.simulator.script
     warnings = _Warnings()
@@ -348,10 +101,6 @@ def strike(device: str, kind: Kind, at: int, *, times: int = 1, seed: int = 0) -
         result.breaches[:] = [breach for breach in result.breaches if "while it stands at" not in breach]
     _look_for_leaks(before, result)
     return result
-
-
-def _rig(device: str, breaches: list[str]) -> Rig:
-    return StageRig(breaches, device) if device in FAMILIES else SpectrometerRig(breaches)
 
 
 async def _day(device: str, rig: Rig, result: Strike, warnings: _Warnings) -> None:

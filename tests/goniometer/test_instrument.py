@@ -162,13 +162,18 @@ def test_a_stage_that_was_switched_off_and_on_between_two_points_is_not_taken_fo
     on_bench(laboratory, work)
 
 
-def test_a_stage_that_was_turned_by_hand_between_two_points_is_moved_back(laboratory):
+def test_a_stage_that_was_turned_by_hand_between_two_points_is_homed_before_anything_is_measured(laboratory):
     async def work(instrument):
         await instrument.goto(Geometry(30.0, 10.0))
         axis = axes(laboratory)[0]
         axis.move(33.0)
         await laboratory.clock.sleep(5.0)
         assert axis.position() == 33.0
+        # a stage without encoder that has lost steps looks the same, and must not be moved back by its own reading
+        with pytest.raises(DeviceFault, match="sample stage: reads 33.000° where it was left at 30.000°; home it"):
+            await instrument.goto(Geometry(30.0, 20.0))
+        await instrument.recover()
+        assert axis.position() == 0.0
         read = await instrument.goto(Geometry(30.0, 20.0))
         assert read.theta_in == pytest.approx(30.0, abs=0.01)
 
