@@ -14,7 +14,7 @@ demo: $(VENV)
 
 test: $(VENV)
 	@$(MAKE) --no-print-directory check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)
 	$(BIN)/ruff check .
