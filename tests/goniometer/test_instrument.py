@@ -172,7 +172,7 @@ def test_a_stage_that_was_turned_by_hand_between_two_points_is_homed_before_anyt
         await laboratory.clock.sleep(5.0)
         assert axis.position() == 33.0
         # a stage without encoder that has lost steps looks the same, and must not be moved back by its own reading
-        with pytest.raises(DeviceFault, match="sample stage: reads 33.000° where it was left at 30.000°; home it"):
+        with pytest.raises(DeviceFault, match=r"sample stage: reads 33\.000° where it was left at 30\.000°; home it"):
             await instrument.goto(Geometry(30.0, 20.0))
         await instrument.recover()
         assert axis.position() == 0.0
