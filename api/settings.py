@@ -73,12 +73,22 @@ class _Stage(_Strict):
         """How the stage sits on the bench."""
         return Mounting(self.zero, self.direction, self.scale)
 
+    @property
+    def own_number(self) -> int | None:
+        """What tells the stage from others on the same line; None where there can be no others."""
+        return None
+
 
 class SMC100Settings(_Stage):
     """A stage on a Newport SMC100. It moves as fast as its controller is configured."""
 
     driver: Literal["smc100"]
     address: int = Field(default=1, ge=1, le=31, description="of the controller on its chain")
+
+    @property
+    def own_number(self) -> int | None:
+        """The address on the chain."""
+        return self.address
 
 
 class OrientalAZSettings(_Stage):
@@ -95,6 +105,11 @@ class OrientalAZSettings(_Stage):
     velocity: Positive = Field(default=30.0, description="degrees/s")
     acceleration: Positive = Field(default=60.0, description="degrees/s^2")
 
+    @property
+    def own_number(self) -> int | None:
+        """The unit behind a gateway; two drivers cannot open one serial line."""
+        return self.unit if self.url is not None and self.url.startswith("tcp://") else None
+
 
 class OwisSettings(_Stage):
     """A stage on an OWIS PS 10 or PS 90."""
@@ -108,6 +123,11 @@ class OwisSettings(_Stage):
     acceleration_unit: Positive = Field(default=1.0, description="counts/s^2 of one unit in which it counts")
     reference_mode: int = Field(default=4, ge=3, le=7, description="how it searches its reference, the number of REF")
     baudrate: int = Field(default=9600, gt=0, description="of the serial line")
+
+    @property
+    def own_number(self) -> int | None:
+        """The axis of the controller."""
+        return self.axis
 
 
 class K10CR1Settings(_Stage):
@@ -131,6 +151,19 @@ class StagesSettings(_Strict):
 
     sample: StageSettings
     detector: StageSettings
+
+    @model_validator(mode="after")
+    def _are_two(self) -> Self:
+        sample, detector = self.sample, self.detector
+        if (sample.url, sample.serial_number) != (detector.url, detector.serial_number):
+            return self
+        where = f"both stages answer at {sample.url or sample.serial_number!r}"
+        if sample.driver != detector.driver or sample.own_number is None:
+            raise ValueError(f"{where}; only two of smc100, of owis or of oriental-az on tcp:// can share a line")
+        if sample.own_number == detector.own_number:
+            key = {"smc100": "address", "owis": "axis"}.get(sample.driver, "unit")
+            raise ValueError(f"{where} with the {key} {sample.own_number}; they are two, so give each its own {key}")
+        return self
 
 
 class GeometrySettings(_Strict):

@@ -27,11 +27,17 @@ class DeviceThread:
         return await asyncio.get_running_loop().run_in_executor(self._executor, call, *arguments)
 
     async def finish(self, last_call: Callable[[], None]) -> None:
-        """Run `last_call` and end the thread; a later `run` starts a new one."""
-        if self._executor is None:
-            return
+        """Run `last_call` and end the thread; a later `run` starts a new one.
+
+        Both happen also when the caller is cancelled: what `last_call` gives back must not stay taken.
+        """
+        if self._executor is not None:
+            await asyncio.shield(self._end(self._executor, last_call))
+
+    async def _end(self, executor: ThreadPoolExecutor, last_call: Callable[[], None]) -> None:
         try:
             await self.run(last_call)
         finally:
-            self._executor.shutdown(wait=False)
-            self._executor = None
+            executor.shutdown(wait=False)
+            if self._executor is executor:  # two that finish at once end one thread
+                self._executor = None

@@ -124,9 +124,9 @@ class Look:
 class OwisPS(Stage):
     """A `RotationStage` on axis `axis` of a PS 10 (always 1) or a PS 90 (1 to 9).
 
-    `url` is pyserial's; a PS 90 has one line for all its axes, and a line belongs to one driver. `counts_per_degree`
-    are counts per degree that the stage reads, as configured by gear and micro-steps. `velocity` (degrees on the bench
-    per second) and `acceleration` (degrees/s^2) are set whenever the axis is ready: the controller forgets them when it
+    `url` is pyserial's; a PS 90 has one line for all its axes, which their drivers share. `counts_per_degree` are
+    counts per degree that the stage reads, as configured by gear and micro-steps. `velocity` (degrees on the bench per
+    second) and `acceleration` (degrees/s^2) are set whenever the axis is ready: the controller forgets them when it
     is switched off. `velocity_unit` and `acceleration_unit` are the counts/s and counts/s^2 of one unit of `PVEL` and
     `ACC`; a PS 90 may count these in its own cycle. `limits` are degrees on the bench, `timeout` is the longest wait
     for a reply (seconds), `reference_query` what asks whether the reference is known.
@@ -163,8 +163,6 @@ class OwisPS(Stage):
         self._reference_query = reference_query
         self._version = b""
         self._axes = 0
-        # a look is several questions, whose order protects it
-        self._looking = asyncio.Lock()
         self._marker = Query(b"?VERSION" + END, self._is_version)
         self._port = SerialPort(
             name, url, baudrate=baudrate, timeout=timeout, missing=line(END), unmistakable=self._marker
@@ -304,7 +302,7 @@ class OwisPS(Stage):
         raise ProtocolError(message + "; check the cable and the brake")
 
     async def _glance(self) -> Look:
-        async with self._looking:
+        async with self._port.turn:
             await self._port.ask(self._marker)
             counts = int(await self._port.ask(self._question("?CNT")))
             letters = (await self._port.ask(Query(b"?ASTAT" + END, self._is_letters))).decode("ascii")
@@ -333,7 +331,7 @@ class OwisPS(Stage):
 
     async def _twice(self, query: Query) -> bytes:
         """A reply that came twice in a row, each time behind that to `?VERSION`. Raises `ProtocolError`."""
-        async with self._looking:
+        async with self._port.turn:
             before = b""
             for _ in range(1 + ATTEMPTS):
                 await self._port.ask(self._marker)
@@ -357,7 +355,7 @@ class OwisPS(Stage):
 
     async def _message(self) -> str:
         """The controller's last message, in words; it forgets it when it has told it."""
-        async with self._looking:
+        async with self._port.turn:
             await self._port.ask(self._marker)
             reply = await self._port.ask(Query(b"?MSG" + END, _has_form(MESSAGE)))
         text = reply.decode("ascii").strip()

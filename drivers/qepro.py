@@ -111,7 +111,7 @@ class QEPro:
 
     async def close(self) -> None:
         """Disconnect; harmless when not connected. The cooler is left on, so that a reopening is quick."""
-        await asyncio.shield(self._thread.finish(self._disconnect))
+        await self._thread.finish(self._disconnect)
 
     async def identity(self) -> str:
         """Maker, model, serial number, and the revisions where the device tells them."""

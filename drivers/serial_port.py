@@ -7,6 +7,7 @@ the form that the request calls for, and after a reply that failed to come the l
 whose answer cannot be mistaken is sent first, and whatever arrives before that answer belongs to the past.
 """
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -83,11 +84,17 @@ class _Line:
     users: int = 0
     in_step: bool = True
     is_lost: bool = False
-    """Whether the port must be opened anew before it is of any use."""
+    """Whether who opens the line opens the port anew: it failed, or nothing has come from it since a reply was missed.
+
+    A hub or a terminal server that hangs shows no other sign, and one that shares the line may hold the port open.
+    """
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """For questions that protect each other by their order."""
 
     def close(self) -> None:
-        """Close the port."""
-        port, self.port = self.port, None
+        """Close the port, not in the middle of a write."""
+        with self.writing:
+            port, self.port = self.port, None
         if port is not None:
             with contextlib.suppress(*PORT_ERRORS):  # a line that is gone is closed
                 port.close()
@@ -186,6 +193,14 @@ class SerialPort:
         self._overtakings += 1
         self._write(self._joined(), command)
 
+    @property
+    def turn(self) -> asyncio.Lock:
+        """To be held for questions that protect each other by their order; all devices on the line have the same one.
+
+        Raises `DeviceDisconnected` when the line is not open.
+        """
+        return self._joined().turn
+
     def _joined(self) -> _Line:
         if self._line is None:
             raise self._not_open()
@@ -224,10 +239,10 @@ class SerialPort:
 
     def _write(self, line: _Line, data: bytes, given_after: int | None = None) -> None:
         """Write `data`; a command was given after so many overtakings, and is dropped if there was another since."""
-        if line.port is None:
-            raise self._not_open()
         try:
             with line.writing:
+                if line.port is None:
+                    raise self._not_open()
                 if given_after is not None and given_after != self._overtakings:
                     raise DeviceRefused(f"{self._name}: was stopped before {data!r} was sent; give the command again")
                 line.port.write(data)
@@ -241,7 +256,7 @@ class SerialPort:
             self._exchange(line, self._unmistakable)
         line.in_step = False
         reply = self._exchange(line, query, given_after)
-        line.in_step = True
+        line.in_step, line.is_lost = True, False
         return reply
 
     def _exchange(self, line: _Line, query: Query, given_after: int | None = None) -> bytes:
@@ -277,5 +292,6 @@ class SerialPort:
             raise ProtocolError(
                 f"{self._name}: {dropped!r} is no answer to {query.request!r}; check that this is the right device"
             )
+        line.is_lost = True
         message = f"{self._name}: no whole reply to {query.request!r} within {self._timeout:g} s, only {reply!r}"
         raise DeviceTimeout(message + f"; check that the device at {self._url} is on")

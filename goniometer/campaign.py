@@ -306,6 +306,10 @@ def load_campaign(path: Path | str) -> Campaign:
         campaign = Campaign.model_validate(content)
     except ValidationError as error:
         raise CampaignError(f"{path}: {describe(error, Campaign)}") from None
+    except UnicodeEncodeError as error:  # half of a pair that stands for one character, which JSON can spell
+        raise CampaignError(
+            f"{path}: a text of the campaign holds {error.object[error.start]!a}, which is no character; leave it out"
+        ) from None
     certificate = campaign.reference.certificate
     if certificate is None:
         return campaign

@@ -12,13 +12,15 @@ from collections.abc import Coroutine
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
 from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
-from goniometer.safety import Forbidden, Limits, check_standing, safe_path
+from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, safe_path
 
 ARRIVAL = 0.1
 """Degrees between the angle that a stage was sent to and the one that it reads back."""
@@ -28,6 +30,14 @@ TWICE = 0.01
 
 TEMPERATURE_DRIFT = 1.0
 """Degrees Celsius by which the detector may depart from its first spectrum: darks are shared by a whole scan."""
+
+DARK_SPREAD = 2000.0
+"""Counts by which parts of a dark spectrum may differ; light differs by more from one end of its spectrum to the other,
+as a halogen lamp has next to no violet and a point is exposed until its brightest pixel has a good part of all counts.
+"""
+
+DARK_PARTS = 16
+"""In which a dark spectrum is looked at; the median of each does not see single hot pixels."""
 
 REST_TIME = 5.0
 """Seconds in which a stage that was told to stop must rest."""
@@ -99,6 +109,9 @@ class Instrument:
         self._last_count: int | None = None
         # names of stages that did not read what they read when they were left
         self._astray: set[str] = set()
+        # what the stages read after homing, and corners of the rectangle somewhere in which the arm is now
+        self._marks: Standing = (0.0, 0.0)
+        self._whereabouts = {self._marks}
         # None until the first spectrum; they stay when devices are reopened, as the scan goes on
         self._pixels: int | None = None
         self._temperature: float | None = None
@@ -137,7 +150,9 @@ class Instrument:
             unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
             check_standing((sample, detector), (unbounded, unbounded), self.forbidden)
         else:
-            await _both(_home(self._sample_stage), _home(self._detector_stage))
+            sample, detector = await _both(_home(self._sample_stage), _home(self._detector_stage))
+        self._marks = sample, detector
+        self._whereabouts = {self._marks}
 
     async def constants(self) -> Constants:
         """What the devices say about themselves, with the configured values."""
@@ -179,10 +194,12 @@ class Instrument:
         targets = self._sample_target, self._detector_target
         self._forget_targets()
         here = await _both(_ready(self._sample_stage), _ready(self._detector_stage))
+        self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
         self._check_left(targets, here)
         for stop in safe_path(here, wanted, self.forbidden):
             # on the way only the stage moves whose turn it is; in the end each that was not sent there before
             stays = [targets[axis] == wanted[axis] if stop == wanted else stop[axis] == here[axis] for axis in range(2)]
+            self._whereabouts = {here, stop}
             reached = await _both(
                 _settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
                 _settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
@@ -192,6 +209,7 @@ class Instrument:
                 targets[1] if stays[1] else stop[1],
             )
             here = reached
+        self._whereabouts = {here}
         self._sample_target, self._detector_target = wanted
         return from_stages(*here)
 
@@ -213,9 +231,19 @@ class Instrument:
         return [await self._checked(spectrum, integration_time) for spectrum in spectra]
 
     async def dark(self, integration_time: float) -> Spectrum:
-        """One spectrum with the shutter closed; `integration_time` in seconds. Raises as `expose` does."""
+        """One spectrum with the shutter closed; `integration_time` in seconds.
+
+        Raises as `expose` does, and `DeviceFault` where it shows light: a shutter cannot tell where it is.
+        """
         await self._set_shutter(False)
-        return await self._checked(await self._spectrometer.expose(integration_time), integration_time)
+        spectrum = await self._checked(await self._spectrometer.expose(integration_time), integration_time)
+        levels = [float(np.median(part)) for part in np.array_split(spectrum.counts, DARK_PARTS)]
+        if max(levels) - min(levels) > DARK_SPREAD or max(levels) >= self.saturation:
+            raise DeviceFault(
+                f"{self._spectrometer.name}: sees light behind the closed shutter, parts of its dark spectrum have "
+                f"{min(levels):.0f} and {max(levels):.0f} counts; look whether the shutter closes, and for other light"
+            )
+        return spectrum
 
     async def safe(self) -> None:
         """Bring the bench into its safe state: stages stopped, shutter closed; the lamp stays on, to stay warm.
@@ -236,7 +264,8 @@ class Instrument:
 
         The spectrometer is reopened, which cools it; so is a stage that does not answer; one that is not ready, or
         has lost count, is homed. This is tried once, and again after each of `RECOVERY_PAUSES`; then what is wrong is
-        raised.
+        raised. Raises `GeometryError` at once, before a stage is homed, where a forbidden region may lie between where
+        the arm was last known to be and the mark; how a stage searches beyond its mark is not known here.
         """
         for pause in RECOVERY_PAUSES:
             try:
@@ -321,7 +350,7 @@ class Instrument:
         await self._spectrometer.open()
         await self._set_shutter(False)
         await self._light.set_lamp(True)
-        for stage in (self._detector_stage, self._sample_stage):
+        for axis, stage in ((1, self._detector_stage), (0, self._sample_stage)):
             try:
                 state = await stage.state()
             except DriverError as error:
@@ -335,7 +364,12 @@ class Instrument:
             if state.phase is not StagePhase.READY:
                 log.warning("%s (homing it)", _not_ready(stage, state))
             if state.phase is not StagePhase.READY or stage.name in self._astray:
+                mark = self._marks[axis]
+                homed = {(s, mark) if axis else (mark, d) for s, d in self._whereabouts}
+                check_sweep(self._whereabouts | homed, self.forbidden)
+                self._whereabouts |= homed
                 await stage.home()
+                self._whereabouts = homed
                 self._astray.discard(stage.name)
 
 

@@ -9,7 +9,7 @@ Two stages that move at once do not keep step, so such a move may pass through a
 and end span. It is allowed when all of that rectangle is free; else the stages move one after the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -91,6 +91,23 @@ def safe_path(start: Standing, end: Standing, forbidden: Sequence[Forbidden]) ->
         f"The arm cannot go from sample stage {start[0]:g}, detector stage {start[1]:g} to {end[0]:g}, {end[1]:g} deg: "
         f"{in_the_way[-1]} deg is in the way; measure both sides of it in campaigns of their own"
     )
+
+
+def check_sweep(standings: Collection[Standing], forbidden: Sequence[Forbidden]) -> None:
+    """Raise `GeometryError` unless all of the rectangle that `standings` span is free.
+
+    For an arm of which nobody knows where in that rectangle it stands.
+    """
+    corners = [_at_edge(standing, forbidden) for standing in standings]
+    low = min(sample for sample, _ in corners), min(detector for _, detector in corners)
+    high = max(sample for sample, _ in corners), max(detector for _, detector in corners)
+    for region in forbidden:
+        if _touches(region, low, high):
+            raise GeometryError(
+                f"The arm must not go anywhere between sample stage {low[0]:g}, detector stage {low[1]:g} and "
+                f"{high[0]:g}, {high[1]:g} deg: {region} deg lies there; turn the stages past it by hand, then run the "
+                f"campaign again"
+            )
 
 
 def check_plan(spec: PlanSpec, limits: Limits, forbidden: Sequence[Forbidden]) -> None:

@@ -21,11 +21,12 @@ FaultScriptError    a line of a script that cannot be read, or a fault that cann
 import math
 import random
 import re
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol, Self
+from typing import Self
 
 GARBAGE_BYTES = 8
 """The most bytes of noise in front of a reply."""
@@ -152,21 +153,26 @@ class FaultScript:
         return due
 
 
-class Breakable(Protocol):
+class Breakable(ABC):
     """A device that can be struck by the faults of devices."""
 
+    @abstractmethod
     def refuse(self) -> None:
         """Answer the next command with the device's own error, and do not carry it out."""
 
+    @abstractmethod
     def restart(self) -> None:
         """Wake up as after switching off and on."""
 
+    @abstractmethod
     def jam(self) -> None:
         """Stop and report a fault until it is cleared."""
 
+    @abstractmethod
     def drift(self) -> None:
         """Read wrongly by a small amount from now on."""
 
+    @abstractmethod
     def slow(self) -> None:
         """Take ten times as long from now on."""
 

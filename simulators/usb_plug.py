@@ -17,7 +17,7 @@ import usb.backend
 import usb.core
 
 from simulators.clock import SimulatedClock
-from simulators.faults import Fault, FaultScript, Kind, Line, duration, reaches_device, strike
+from simulators.faults import Breakable, Fault, FaultScript, Kind, Line, duration, reaches_device, strike
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class _Spoilt:
     """A transfer that the bus could not bring across."""
 
 
-class UsbPlug(usb.backend.IBackend):  # type: ignore[misc]
+class UsbPlug(usb.backend.IBackend, Breakable):  # type: ignore[misc]
     """The plug of a simulated device with a bulk endpoint each way.
 
     `packet_size` is 512 bytes on high-speed USB and 64 on full-speed USB. Opaque objects that pyusb passes around are
@@ -80,26 +80,6 @@ class UsbPlug(usb.backend.IBackend):  # type: ignore[misc]
     @abstractmethod
     def _prepare_reply(self, deadline: float) -> bool:
         """Let time pass until there is something to send, and queue it; False when there is not by `deadline`."""
-
-    @abstractmethod
-    def refuse(self) -> None:
-        """Answer the next setting with an error, and do not carry it out."""
-
-    @abstractmethod
-    def restart(self) -> None:
-        """Wake up as after switching off and on."""
-
-    @abstractmethod
-    def jam(self) -> None:
-        """Report a fault until restarted."""
-
-    @abstractmethod
-    def drift(self) -> None:
-        """Go wrong by a small amount from now on."""
-
-    @abstractmethod
-    def slow(self) -> None:
-        """Take ten times as long from now on."""
 
     def _forget(self) -> None:
         """Drop what has not been delivered."""

@@ -15,7 +15,7 @@ from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
-from simulators.faults import FaultScript, Kind, Line, Piece, duration, reaches_device, strike
+from simulators.faults import Breakable, FaultScript, Kind, Line, Piece, duration, reaches_device, strike
 
 T = TypeVar("T")
 
@@ -79,7 +79,7 @@ def lines(data: bytes, terminator: bytes) -> tuple[list[bytes], bytes]:
     return whole, rest
 
 
-class ByteServer(Listener):
+class ByteServer(Listener, Breakable):
     """An instrument on a serial line, served on a local TCP port and on a pseudo-terminal.
 
     A family of instruments inherits from it and fills in how its requests are told apart, how it answers one, and
@@ -105,26 +105,6 @@ class ByteServer(Listener):
     @abstractmethod
     def answer(self, request: bytes) -> bytes:
         """Act on one whole request and return the bytes to send back, none where it has no reply."""
-
-    @abstractmethod
-    def refuse(self) -> None:
-        """Answer the next command with the device's own error, and do not carry it out."""
-
-    @abstractmethod
-    def restart(self) -> None:
-        """Wake up as after switching off and on."""
-
-    @abstractmethod
-    def jam(self) -> None:
-        """Stop the motor where it is and report a fault until it is cleared."""
-
-    @abstractmethod
-    def drift(self) -> None:
-        """Read wrongly by a small amount from now on."""
-
-    @abstractmethod
-    def slow(self) -> None:
-        """Take ten times as long from now on."""
 
     def start(self) -> str:
         """Begin to listen and return the URL, "socket://127.0.0.1:PORT"; the same one after an unplug."""

@@ -29,6 +29,15 @@ driver = "oriental-az"
 url = "tcp://192.168.0.20:502"
 """
 
+TWO = """
+[stages.sample]
+{0}
+url = "/dev/ttyUSB0"
+[stages.detector]
+{0}
+url = "/dev/ttyUSB0"
+"""
+
 
 def loaded(folder: Path, text: str) -> InstrumentSettings:
     file = folder / "i.toml"
@@ -91,6 +100,13 @@ WRONG = {
     ): "stages.detector: url = 'COM3' is no address of this driver; write \"tcp:",
     BENCH.replace("[stages.detector]", "[stages.detektor]"): "stages.detektor: unknown key; did you mean detector?",
     BENCH.split("[stages.detector]", maxsplit=1)[0]: "stages.detector: this key is missing",
+    TWO.format('driver = "smc100"'): "stages: both stages answer at '/dev/ttyUSB0' with the address 1; they are two",
+    TWO.format('driver = "owis"\ncounts_per_degree = 9'): "with the axis 1; they are two, so give each its own axis",
+    TWO.format('driver = "k10cr1"'): "stages: both stages answer at '/dev/ttyUSB0'; only two of smc100, of owis or ",
+    TWO.replace("/dev", "rtu:///dev").format('driver = "oriental-az"'): "ttyUSB0'; only two of smc100, of owis or ",
+    TWO.format('driver = "smc100"').replace(
+        "smc100", "k10cr1", 1
+    ): "only two of smc100, of owis or of oriental-az on tcp",
     BENCH + "[geometry]\napperture = 1\n": "geometry.apperture: unknown key; did you mean aperture?",
     BENCH + "[[forbidden]]\nsample = [1, 2]\n": "forbidden[0].detector: this key is missing",
     BENCH + "[[forbidden]]\nsample = [1, 2]\ndetector = [2, 1]\n": "forbidden[0].detector: [2, 1] is no range",
@@ -111,6 +127,15 @@ def test_a_wrong_key_is_explained_in_one_line(tmp_path: Path, text: str) -> None
     message = str(refused.value)
     assert WRONG[text] in message
     assert "\n" not in message
+
+
+def test_two_stages_may_share_a_line_when_something_tells_them_apart(tmp_path: Path) -> None:
+    for family, key in (("smc100", "address"), ("owis", "counts_per_degree = 9\naxis"), ("oriental-az", "unit")):
+        text = TWO.replace("{0}", f'driver = "{family}"\n{key} = 1', 1).format(f'driver = "{family}"\n{key} = 2')
+        if family == "oriental-az":
+            text = text.replace("/dev/ttyUSB0", "tcp://192.168.0.20:502")
+        stages = loaded(tmp_path, text).stages
+        assert (stages.sample.own_number, stages.detector.own_number) == (1, 2)
 
 
 def port(path: str, serial_number: str) -> ListPortInfo:

@@ -1,7 +1,6 @@
 """What is struck: a simulated device of each family, the driver connected to it, and a day's work for both."""
 
 import asyncio
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,19 +8,12 @@ import numpy as np
 from drivers.arrays import CountArray
 from drivers.errors import DriverError
 from drivers.interfaces import StagePhase
-from drivers.k10cr1 import K10CR1
-from drivers.oriental_az import OrientalAZ
-from drivers.owis import OwisPS
 from drivers.qepro import QEPro, QEProLight
-from drivers.smc100 import SMC100
 from drivers.stage import Stage
 from simulators.clock import SimulatedClock
-from simulators.k10cr1 import SimulatedK10CR1
 from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.owis import SimulatedOwisPS
 from simulators.qepro import QEProFaults, SimulatedQEPro
-from simulators.smc100 import SimulatedSMC100
+from tests.stage_bench import FAMILIES, HeldClock
 
 NAME = "device under test"
 """Of each driver, and of its threads."""
@@ -30,26 +22,6 @@ TIMEOUT = 0.1
 LASTS = 0.12
 SAME_ANGLE = 0.02
 """Degrees between the angle that a driver returns and where the axis stands."""
-COUNTS_PER_DEGREE = 1000.0
-
-
-class HeldClock(SimulatedClock):
-    """A clock on which one wait can be held in its middle, so that a stop comes while a stage moves."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.hold = False
-        self.held = asyncio.Event()
-        self.let_go = asyncio.Event()
-
-    async def sleep(self, seconds: float) -> None:
-        """Let `seconds` pass, after half of them only when the holder lets go."""
-        if self.hold:
-            self.hold = False
-            self.advance_to(self.now() + seconds / 2)
-            self.held.set()
-            await self.let_go.wait()
-        await super().sleep(seconds)
 
 
 class Rig:
@@ -84,7 +56,8 @@ class StageRig(Rig):
     def __init__(self, breaches: list[str], family: str) -> None:
         super().__init__(breaches)
         self.axis = Axis(self.clock, start=3.0, velocity=20.0, acceleration=40.0, limits=(-95.0, 180.0))
-        self.simulator, self.driver = FAMILIES[family](self.axis, self.clock)
+        self.simulator = FAMILIES[family].simulate(self.axis, self.clock)
+        self.driver = FAMILIES[family].drive(NAME, self.simulator.start(), self.clock, timeout=TIMEOUT)
 
     async def work(self) -> None:
         """Home, move, stop in the middle of a move, move."""
@@ -107,12 +80,12 @@ class StageRig(Rig):
 
     async def _stop_halfway(self, stage: Stage, target: float) -> None:
         clock = self.clock
-        clock.held, clock.let_go, clock.hold = asyncio.Event(), asyncio.Event(), True
+        under_way = clock.hold()
         move = asyncio.create_task(stage.move_to(target))
-        held = asyncio.create_task(clock.held.wait())
+        held = asyncio.create_task(under_way.wait())
         await asyncio.wait({move, held}, return_when=asyncio.FIRST_COMPLETED)
         held.cancel()
-        clock.hold = False
+        clock.waiting = None
         moving = self.axis.moving()
         try:
             await stage.stop()
@@ -121,7 +94,7 @@ class StageRig(Rig):
                 if abs(self.axis.position() - target) < 0.1:
                     self.breaches.append("went on to its target although the stop was said to be taken")
         finally:
-            clock.let_go.set()
+            clock.released.set()
             await asyncio.wait({move})
             move.exception()  # that a stopped move does not arrive is no fault
         begin = clock.now()
@@ -223,37 +196,6 @@ class SpectrometerRig(Rig):
         self.simulator._refusing = False
 
 
-def _owis(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedOwisPS([axis], clock, counts_per_degree=COUNTS_PER_DEGREE)
-    return simulator, OwisPS(NAME, simulator.start(), clock, counts_per_degree=COUNTS_PER_DEGREE, timeout=TIMEOUT)
-
-
-def _smc100(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedSMC100(axis)
-    return simulator, SMC100(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-
-def _k10cr1(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-    simulator = SimulatedK10CR1(axis)
-    return simulator, K10CR1(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-
-def _oriental(*, rtu: bool) -> Callable[[Axis, SimulatedClock], tuple[Any, Stage]]:
-    def make(axis: Axis, clock: SimulatedClock) -> tuple[Any, Stage]:
-        simulator = SimulatedOrientalAZ(axis, rtu=rtu)
-        return simulator, OrientalAZ(NAME, simulator.start(), clock, timeout=TIMEOUT)
-
-    return make
-
-
-FAMILIES: dict[str, Callable[[Axis, SimulatedClock], tuple[Any, Stage]]] = {
-    "SMC100": _smc100,
-    "OWIS PS": _owis,
-    "K10CR1": _k10cr1,
-    "AZ on TCP": _oriental(rtu=False),
-    "AZ on RTU": _oriental(rtu=True),
-}
-"""What makes the simulator and the driver of each family of stages."""
 DEVICES = (*FAMILIES, "QE Pro")
 
 

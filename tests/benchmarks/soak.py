@@ -156,6 +156,7 @@ def soak(points: int, *, rate: float = 0.05, seed: int = 0, verbose: bool = Fals
     names = ("drivers", "goniometer")
     asyncio.run(asyncio.sleep(0))
     soaked.memory.append((0, resident()))
+    gc.collect()  # what was there before must not go in between, and what is left must be more than garbage
     before = threading.active_count(), len(os.listdir("/proc/self/fd"))
     begin = time.monotonic()
     root.addHandler(retries)
@@ -173,6 +174,7 @@ def soak(points: int, *, rate: float = 0.05, seed: int = 0, verbose: bool = Fals
     while threading.active_count() > before[0] and time.monotonic() < deadline:
         time.sleep(0.01)
     soaked.memory.append((soaked.points, resident()))
+    gc.collect()
     soaked.threads = before[0], threading.active_count()
     soaked.descriptors = before[1], len(os.listdir("/proc/self/fd"))
     return soaked

@@ -74,3 +74,36 @@ def test_a_finished_thread_starts_again_when_the_device_is_reopened() -> None:
     first, second = asyncio.run(scenario())
     assert first.startswith("device")
     assert second.startswith("device")
+
+
+def test_a_device_is_let_go_also_when_who_closes_it_gives_up() -> None:
+    events: list[str] = []
+
+    async def scenario() -> None:
+        thread = DeviceThread("device")
+        call = asyncio.create_task(thread.run(time.sleep, 0.05))
+        await asyncio.sleep(0.01)
+        closing = asyncio.create_task(thread.finish(lambda: events.append("closed")))
+        await asyncio.sleep(0.01)
+        closing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await closing
+        await call
+        await thread.finish(lambda: None)
+
+    asyncio.run(scenario())
+    assert events == ["closed"]
+
+
+def test_two_may_close_a_device_at_once() -> None:
+    events: list[str] = []
+
+    async def scenario() -> None:
+        thread = DeviceThread("device")
+        call = asyncio.create_task(thread.run(time.sleep, 0.02))
+        await asyncio.sleep(0.01)
+        await asyncio.gather(*(thread.finish(lambda: events.append("closed")) for _ in range(2)))
+        await call
+
+    asyncio.run(scenario())
+    assert events == ["closed", "closed"]

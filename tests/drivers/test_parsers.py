@@ -17,7 +17,6 @@ import pytest
 import serial
 import usb.core
 import usb.util
-from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import apt, modbus_line, serial_port
@@ -40,31 +39,13 @@ from simulators.oriental_az import SimulatedOrientalAZ
 from simulators.owis import SimulatedOwisPS
 from simulators.smc100 import SimulatedSMC100
 from simulators.wire import ByteServer
+from tests.bombarded import bombarded
 
 MOST_READS = 50_000
 """After which a driver is said to hang."""
 BYTE_TIME = 0.001
 """Seconds that a byte takes on the slow lines of these tests."""
 SECONDS_PER_READ = 0.05
-
-
-def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make of a check a test of 200 drawn examples, and one of 10,000 for who has the time."""
-
-    def decorate(check: Callable[..., None]) -> Callable[..., None]:
-        @pytest.mark.parametrize("examples", [200, pytest.param(10_000, marks=pytest.mark.slow)])
-        def test(examples: int, loop: "InstantLoop") -> None:
-            @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-            @given(strategy)
-            def each(drawn: Any) -> None:
-                check(loop, drawn)
-
-            each()
-
-        test.__name__ = check.__name__
-        return test
-
-    return decorate
 
 
 class InstantSelector(selectors.SelectSelector):

@@ -112,6 +112,21 @@ def axes(laboratory):
     return laboratory.bench._axes
 
 
+@pytest.mark.parametrize("integration_time", [0.1, 5.0])  # some pixels are saturated, or all
+def test_light_behind_a_shutter_that_does_not_close_is_never_a_dark_signal(laboratory, integration_time):
+    async def work(instrument):
+        laboratory.bench.mount("mirror")
+        await instrument.goto(Geometry(30.0, 30.0))
+        assert (await instrument.dark(integration_time)).counts.max() < 5000
+        lit = (await instrument.expose(integration_time)).counts
+        assert (lit == instrument.saturation).any()
+        laboratory.spectrometer.faults.ignored.add(0x00110610)  # it says yes, and the shutter stays open
+        with pytest.raises(DeviceFault, match="sees light behind the closed shutter"):
+            await instrument.dark(integration_time)
+
+    on_bench(laboratory, work)
+
+
 # Moves
 
 
@@ -146,6 +161,34 @@ def test_a_bench_whose_marks_lie_where_the_arm_must_not_be_is_not_opened(laborat
 
     with pytest.raises(GeometryError, match="forbidden region"):
         on_bench(laboratory, work, forbidden=(Forbidden(sample=(-5.0, 5.0), detector=(-5.0, 5.0)),))
+
+
+@pytest.mark.parametrize("is_in_the_way", [True, False])
+def test_a_stage_that_lost_its_reference_is_not_homed_through_a_forbidden_region(laboratory, is_in_the_way):
+    """The detector stage lost it on its way from 30 to 100 deg, so it may stand anywhere between."""
+    low = 5.0 if is_in_the_way else -40.0
+    holder = Forbidden(sample=(40.0, 80.0), detector=(low, low + 20.0))
+
+    async def work(instrument):
+        sample, detector = axes(laboratory)
+        await instrument.goto(Geometry(60.0, -30.0))
+        moving = asyncio.create_task(instrument.goto(Geometry(60.0, 40.0)))
+        await until(lambda: detector.position() > 50.0)
+        laboratory.detector_stage.restart()
+        with pytest.raises(DriverError):
+            await moving
+        await instrument.safe()
+        stood = detector.position()
+        if is_in_the_way:
+            with pytest.raises(GeometryError, match="sample stage 60, detector stage 0 and 60, 100 deg"):
+                await instrument.recover()
+            assert detector.position() == stood > 50.0
+        else:
+            await instrument.recover()
+            assert detector.position() == 0.0
+            assert sample.position() == 60.0
+
+    on_bench(laboratory, work, forbidden=(holder,))
 
 
 @pytest.mark.parametrize("same_angle", [True, False])

@@ -9,34 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from api.settings import load_instrument
 from goniometer.campaign import load_campaign
 from goniometer.errors import CampaignError, CertificateError, ConfigurationError, GoniometerError
 from goniometer.reference import parse_certificate, read_certificate
+from tests.bombarded import bombarded
 
 SHOWN = Path(__file__).parents[2] / "docs"
-
-
-def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[[Path, Any], None]], Callable[..., None]]:
-    """Make of a check a test of 200 drawn examples, and one of 10,000 for who has the time."""
-
-    def decorate(check: Callable[[Path, Any], None]) -> Callable[..., None]:
-        @pytest.mark.parametrize("examples", [200, pytest.param(10_000, marks=pytest.mark.slow)])
-        def test(examples: int, file: Path) -> None:
-            @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-            @given(strategy)
-            def each(drawn: Any) -> None:
-                check(file, drawn)
-
-            each()
-
-        test.__name__ = check.__name__
-        return test
-
-    return decorate
 
 
 @pytest.fixture

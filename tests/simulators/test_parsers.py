@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import usb.core
-from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import apt
@@ -24,25 +23,7 @@ from simulators.owis import SimulatedOwisPS
 from simulators.qepro import SimulatedQEPro
 from simulators.smc100 import SimulatedSMC100
 from simulators.wire import ByteServer
-
-
-def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """Make of a check a test of 200 drawn examples, and one of 10,000 for who has the time."""
-
-    def decorate(check: Callable[[Any], None]) -> Callable[..., None]:
-        @pytest.mark.parametrize("examples", [200, pytest.param(10_000, marks=pytest.mark.slow)])
-        def test(examples: int) -> None:
-            @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-            @given(strategy)
-            def each(drawn: Any) -> None:
-                check(drawn)
-
-            each()
-
-        test.__name__ = check.__name__
-        return test
-
-    return decorate
+from tests.bombarded import bombarded
 
 
 @pytest.fixture(autouse=True)

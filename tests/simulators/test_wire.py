@@ -1,5 +1,6 @@
 """A line of simulated instruments keeps what real ones keep: the order, the port, and no threads when it is closed."""
 
+import gc
 import os
 import socket
 import sys
@@ -194,6 +195,7 @@ def test_faults_of_devices_strike_before_the_request_they_befall(
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="descriptors are counted as Linux does")
 def test_nothing_is_left_behind_by_a_line_that_is_closed_while_replies_wait_and_while_it_is_unplugged() -> None:
     def leftovers() -> tuple[int, set[threading.Thread]]:
+        gc.collect()  # what other tests have left behind must not go in between
         return len(os.listdir("/proc/self/fd")), set(threading.enumerate())
 
     before = leftovers()

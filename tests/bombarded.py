@@ -1,0 +1,37 @@
+"""A check made into a test with a bombardment of drawn examples."""
+
+from collections.abc import Callable
+from inspect import Parameter, signature
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+
+def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make of a check a test of 200 drawn examples, and one of 10,000 for who has the time.
+
+    The last parameter of the check is what is drawn; those before it are fixtures.
+    """
+
+    def decorate(check: Callable[..., None]) -> Callable[..., None]:
+        *fixtures, drawn = signature(check).parameters.values()
+
+        @pytest.mark.parametrize("examples", [200, pytest.param(10_000, marks=pytest.mark.slow)])
+        def test(examples: int, **fixture_values: Any) -> None:
+            @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+            @given(strategy)
+            def each(value: Any) -> None:
+                check(**fixture_values, **{drawn.name: value})
+
+            each()
+
+        test.__name__ = check.__name__
+        test.__doc__ = check.__doc__
+        # pytest reads here what the test wants
+        examples = Parameter("examples", Parameter.POSITIONAL_OR_KEYWORD)
+        test.__signature__ = signature(check).replace(parameters=[examples, *fixtures])
+        return test
+
+    return decorate
