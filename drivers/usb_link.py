@@ -255,6 +255,8 @@ def open_link(
             continue
         try:
             found = link.ask(serial_message).rstrip(b"\0").decode("ascii", errors="backslashreplace")
+            if not found.isprintable():
+                raise ProtocolError(f"{name}: answered {found!a} when asked for its serial number; plug it in again")
         except DriverError as error:
             link.close()
             failures.append(error)
