@@ -8,7 +8,7 @@ import multiprocessing
 from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,14 +149,13 @@ async def open_bench(
 
         for error in site.unplugged().values():
             raise error
-        try:
+        async with AsyncExitStack() as on_failure:  # a cancellation is one, too
+            on_failure.push_async_callback(release, bench)
             await instrument.open()
             unfit = [finding.line() for finding in await examine(bench, referenced=True) if finding.problems]
             if unfit:
                 raise BenchUnfit(unfit)
-        except BaseException:  # a cancellation, too
-            await release(bench)
-            raise
+            on_failure.pop_all()
         try:
             yield instrument, mount
         finally:

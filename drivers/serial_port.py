@@ -140,16 +140,15 @@ class SerialPort:
         await self.close()
         line = self._line = _LINES.setdefault(self._url, _Line(DeviceThread(self._name), self._baudrate))
         line.users += 1
-        try:
+        async with contextlib.AsyncExitStack() as on_failure:  # a cancellation is one, too
+            on_failure.push_async_callback(self.close)
             if line.baudrate != self._baudrate:
                 raise DeviceNotFound(
                     f"{self._name}: {self._url} is open at {line.baudrate} Bd for another device; "
                     f"give both the same baud rate, or a line each"
                 )
             await line.thread.run(self._open, line)
-        except BaseException:  # a cancellation, too
-            await self.close()
-            raise
+            on_failure.pop_all()
 
     async def close(self) -> None:
         """Leave the line, and close it when nobody uses it any more; harmless when it is closed or gone."""

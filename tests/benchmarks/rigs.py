@@ -1,6 +1,7 @@
 """What is struck: a simulated device of each family, the driver connected to it, and a day's work for both."""
 
 import asyncio
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ SAME_ANGLE = 0.02
 """Degrees between the angle that a driver returns and where the axis stands."""
 
 
-class Rig:
+class Rig(ABC):
     """A simulated device, the driver connected to it, and a day's work."""
 
     simulator: Any
@@ -34,19 +35,19 @@ class Rig:
         self.clock = HeldClock()
         self.breaches = breaches
 
+    @abstractmethod
     async def work(self) -> None:
         """What is done with the device every day, once it is open."""
-        raise NotImplementedError
 
+    @abstractmethod
     async def revive(self) -> None:
         """Make the device usable after a fault, as the bench does."""
-        raise NotImplementedError
 
+    @abstractmethod
     def repair(self) -> None:
         """Put right what only a person can."""
-        raise NotImplementedError
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  (a device without a thread has nothing to switch off)
         """Switch the simulator off."""
 
 
