@@ -3,13 +3,54 @@
 import dataclasses
 import hashlib
 from dataclasses import dataclass, field
+from enum import IntFlag
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import BoolArray, FloatArray
+from goniometer.uncertainty import ErrorSource, combined
 
-NOT_COVERED = "the uncertainty of the reference panel, lamp drift and stray light are not in it"
-"""What no stated uncertainty contains, to be said wherever one is stated."""
+
+class Flag(IntFlag):
+    """What is doubtful about a point; a flagged point is kept, and the fits say what they do with it."""
+
+    SATURATED = 1
+    """Some pixel stayed saturated at the shortest integration time."""
+    BEYOND_REFERENCE = 2
+    """The reference scan does not reach so far, so the point has no value."""
+    CLIPPED = 4
+    """The detector sees beyond the edge of the sample."""
+    BELOW_NOISE = 8
+    """The median signal is below its uncertainty from the counts."""
+    NEGATIVE = 16
+    """Values lie below zero by more than three of their uncertainties from the counts."""
+
+
+MEANING = {
+    Flag.SATURATED: "saturated at the shortest integration time",
+    Flag.BEYOND_REFERENCE: "beyond the reference scan",
+    Flag.CLIPPED: "footprint leaves the sample",
+    Flag.BELOW_NOISE: "below the noise",
+    Flag.NEGATIVE: "negative beyond the noise",
+}
+"""Every flag in words."""
+
+LEFT_OUT = Flag.SATURATED | Flag.BEYOND_REFERENCE | Flag.CLIPPED
+"""Flags whose points the fits leave out; points with another flag are fitted with the weight of their uncertainty."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question that the dataset was asked."""
+
+    name: str
+    """E.g. "reciprocity"."""
+    passed: bool | None
+    """None where the data do not tell."""
+    message: str
+    """What was found, with numbers, and if it failed what to do; whole sentences."""
 
 
 @dataclass(frozen=True)
@@ -27,45 +68,55 @@ class Dataset:
     brdf: FloatArray
     """[points, wavelengths] 1/sr; NaN where no valid value exists: saturated pixels, and points beyond
     the reference scan."""
-    u_random: FloatArray
-    """[points, wavelengths] standard uncertainty from the point's own counts, 1/sr; independent everywhere."""
-    u_dark: FloatArray
-    """[points, wavelengths] standard uncertainty passed on by the mean dark signal, 1/sr; independent between
-    wavelengths, the same error for all points of one integration time."""
-    u_reference: FloatArray
-    """[points, wavelengths] standard uncertainty passed on by the counts of the reference scan, 1/sr;
-    independent between wavelengths, taken as fully correlated between the points of one incident angle."""
-    u_reference_dark: FloatArray
-    """[points, wavelengths] standard uncertainty passed on by the mean dark signal of the reference scan, 1/sr;
-    independent between wavelengths, taken as fully correlated between all points."""
-    integration_time: FloatArray
-    """[points] seconds; points of one integration time share their dark spectra."""
+    sources: tuple[ErrorSource, ...]
+    """Everything that makes `brdf` uncertain; zero where it has no value."""
+    flags: NDArray[np.uint16]
+    """[points] what is doubtful about a point, a sum of `Flag`."""
     u_angle: float
     """Standard uncertainty of one stage position, degrees; independent between moves of a stage."""
     aperture: float
-    """Full angle of the detector aperture, degrees."""
-    saturated: BoolArray
-    """[points] whether some pixel stayed saturated at the shortest integration time."""
+    """Full angle of the detector aperture over which `brdf` is an average, degrees; 0 where that was corrected."""
+    checks: tuple[Check, ...] = ()
+    """What the sanity checks found."""
     lineage: dict[str, object] = field(default_factory=dict)
     """What it was derived from: run, exposures, reference scan, certificate, software version, settings."""
 
-    @property
+    @cached_property
     def u(self) -> FloatArray:
-        """[points, wavelengths] combined standard uncertainty (coverage factor 1) at the stated angles, 1/sr.
+        """[points, wavelengths] combined standard uncertainty (coverage factor 1), 1/sr; NaN without a value."""
+        return np.where(np.isfinite(self.brdf), combined(self.sources, self.brdf.shape), np.nan)
 
-        Of the counts only: the errors of the stages, of the reference panel and of the lamp are not in it.
-        """
-        return np.sqrt(self.u_random**2 + self.u_dark**2 + self.u_reference**2 + self.u_reference_dark**2)
+    @cached_property
+    def u_counts(self) -> FloatArray:
+        """[points, wavelengths] the part of `u` that wavelengths do not share, 1/sr: noise, by which to weigh."""
+        own = tuple(source for source in self.sources if not source.shared_by_wavelengths)
+        return np.where(np.isfinite(self.brdf), combined(own, self.brdf.shape), np.nan)
+
+    def flagged(self, flag: Flag) -> BoolArray:
+        """[points] whether any of the bits of `flag` is set."""
+        return np.asarray((self.flags & int(flag)) != 0)
+
+    @property
+    def usable(self) -> BoolArray:
+        """[points] which points a fit may use: those without a flag of `LEFT_OUT`."""
+        return ~self.flagged(LEFT_OUT)
 
     @property
     def content_hash(self) -> str:
         """SHA-256 of the sample's name and all numbers, so that a fit can say what exactly it was fitted to."""
         digest = hashlib.sha256()
-        for each in dataclasses.fields(self):
-            value = getattr(self, each.name)
+
+        def add(name: str, value: object) -> None:
             if isinstance(value, np.ndarray):
-                digest.update(f"{each.name} {value.shape}\n".encode())
+                digest.update(f"{name} {value.shape}\n".encode())
                 digest.update(np.ascontiguousarray(value, dtype="<f8").tobytes())
-            elif each.name != "lineage":
-                digest.update(f"{each.name} {value!r}\n".encode())
+            else:
+                digest.update(f"{name} {value!r}\n".encode())
+
+        for each in dataclasses.fields(self):
+            if each.name not in {"sources", "checks", "lineage"}:
+                add(each.name, getattr(self, each.name))
+        for source in self.sources:
+            for each in dataclasses.fields(source):
+                add(f"{source.name}: {each.name}", getattr(source, each.name))
         return digest.hexdigest()

@@ -9,15 +9,14 @@ import asyncio
 import logging
 import math
 from collections.abc import Coroutine
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
 from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
+from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
 from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, safe_path
@@ -53,28 +52,6 @@ _MOVING = {StagePhase.MOVING, StagePhase.HOMING}
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Constants:
-    """What calibration needs to know about the devices; stored with every scan."""
-
-    spectrometer: str
-    """What the spectrometer calls itself: maker, model, serial number."""
-    stages: dict[str, str]
-    """What each stage calls itself, by its name; some know no more than the address they answer at."""
-    wavelengths: FloatArray
-    """[pixels] nanometres."""
-    nonlinearity: FloatArray
-    """[coefficients] of the polynomial in dark-subtracted counts by which these are divided."""
-    saturation: int
-    """Counts at and above which a pixel is saturated."""
-    gain: float
-    """Electrons per count."""
-    u_angle: float
-    """Standard uncertainty of one stage position, degrees."""
-    aperture: float
-    """Full angle of the detector aperture, degrees."""
-
-
 class Instrument:
     """The bench. All methods raise `DriverError`; stage names and angles are those of `goniometer.geometry`."""
 
@@ -86,9 +63,7 @@ class Instrument:
         light: Light,
         clock: Clock,
         *,
-        gain: float,
-        u_angle: float = 0.005,
-        aperture: float = 1.0,
+        data: BenchData = BenchData(),
         forbidden: tuple[Forbidden, ...] = (),
     ) -> None:
         self.clock = clock
@@ -99,9 +74,7 @@ class Instrument:
         self._detector_stage = detector_stage
         self._spectrometer = spectrometer
         self._light = light
-        self._gain = gain
-        self._u_angle = u_angle
-        self._aperture = aperture
+        self._data = data
         # None where it is not known, as at the start and after anything went wrong.
         self._sample_target: float | None = None
         self._detector_target: float | None = None
@@ -163,9 +136,7 @@ class Instrument:
             await spectrometer.wavelengths(),
             await spectrometer.nonlinearity(),
             spectrometer.saturation,
-            self._gain,
-            self._u_angle,
-            self._aperture,
+            self._data,
         )
 
     def check(self, geometry: Geometry) -> None:

@@ -13,12 +13,15 @@ from sqlalchemy import Row
 
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
-from goniometer.dataset import Dataset
+from goniometer.constants import BenchData, Constants
+from goniometer.dataset import Check, Dataset
 from goniometer.errors import StoreError
 from goniometer.geometry import Geometry
-from goniometer.instrument import Constants
+from goniometer.uncertainty import ErrorSource
 
-Kind = Literal["reference", "sample"]
+Kind = Literal["reference", "sample", "spot"]
+"""A spot is another place, or another azimuth, of the sample before it, measured at a few of its directions."""
+ExposureKind = Literal["light", "dark", "stray", "monitor"]
 Phase = Literal["idle", "running", "pausing", "paused", "aborting", "finished"]
 Outcome = Literal["completed", "aborted", "failed"]
 Command = Literal["pause", "resume", "abort"]
@@ -69,11 +72,18 @@ class Point:
 
 @dataclass(frozen=True)
 class Exposure:
-    """One raw spectrum, light or dark."""
+    """One raw spectrum."""
 
     id: int
+    kind: ExposureKind
     point_id: int | None
-    """The point it belongs to; None for a dark."""
+    """The point it belongs to; None for all but light."""
+    geometry: Geometry | None
+    """Where the stages stood, as read back; None for a dark."""
+    moment: float
+    """When it was taken, seconds on the clock of the process that took it."""
+    taken: str
+    """When it was written, ISO 8601 in UTC."""
     integration_time: float
     """Seconds."""
     counts: CountArray
@@ -92,6 +102,18 @@ class StoredText:
     """Model of a fit, format of an export."""
     text: str
     """JSON of a fit, path of an export."""
+
+
+@dataclass(frozen=True)
+class Characterisation:
+    """A measurement of the bench itself."""
+
+    id: int
+    kind: str
+    """"signature", "noise", "alignment", "repeatability" or "wavelength"."""
+    json: str
+    created: str
+    """ISO 8601 in UTC."""
 
 
 def now() -> str:
@@ -116,15 +138,35 @@ def to_point(row: Row[Any]) -> Point:
 def to_exposure(row: Row[Any]) -> Exposure:
     """A row of `tables.exposures`."""
     counts = np.frombuffer(row.counts, dtype="<u4").astype(np.uint32)
-    return Exposure(row.id, row.point_id, row.integration_time, counts, row.detector_temperature)
+    return Exposure(
+        row.id,
+        row.kind,
+        row.point_id,
+        None if row.theta_in is None else Geometry(row.theta_in, row.theta_out),
+        row.moment,
+        row.taken,
+        row.integration_time,
+        counts,
+        row.detector_temperature,
+    )
 
 
-def exposure_row(scan_id: int, point_id: int | None, kind: str, spectrum: Spectrum) -> dict[str, object]:
+def exposure_row(
+    scan_id: int,
+    point_id: int | None,
+    kind: ExposureKind,
+    geometry: Geometry | None,
+    moment: float,
+    spectrum: Spectrum,
+) -> dict[str, object]:
     """Values of a new row of `tables.exposures`; counts are kept as little-endian u32."""
     return {
         "scan_id": scan_id,
         "point_id": point_id,
         "kind": kind,
+        "theta_in": None if geometry is None else geometry.theta_in,
+        "theta_out": None if geometry is None else geometry.theta_out,
+        "moment": moment,
         "integration_time": spectrum.integration_time,
         "counts": spectrum.counts.astype("<u4").tobytes(),
         "device_count": spectrum.count,
@@ -133,25 +175,21 @@ def exposure_row(scan_id: int, point_id: int | None, kind: str, spectrum: Spectr
     }
 
 
-_DATASET_ARRAYS = (
-    "theta_in",
-    "theta_out",
-    "wavelengths",
-    "brdf",
-    "u_random",
-    "u_dark",
-    "u_reference",
-    "u_reference_dark",
-    "integration_time",
-    "saturated",
-)
+_DATASET_ARRAYS = ("theta_in", "theta_out", "wavelengths", "brdf", "flags")
 
 
 def pack_dataset(dataset: Dataset) -> bytes:
     """All numbers of a dataset as a compressed NumPy archive."""
-    buffer = io.BytesIO()
     arrays = {name: getattr(dataset, name) for name in _DATASET_ARRAYS}
-    np.savez_compressed(buffer, u_angle=dataset.u_angle, aperture=dataset.aperture, **arrays)
+    for i, source in enumerate(dataset.sources):
+        arrays[f"source_{i}"] = source.values
+        if source.groups is not None:
+            arrays[f"groups_{i}"] = source.groups
+    about = [{"name": s.name, "part": s.part, "shared_by_wavelengths": s.shared_by_wavelengths} for s in dataset.sources]
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer, u_angle=dataset.u_angle, aperture=dataset.aperture, sources=json.dumps(about), **arrays
+    )
     return buffer.getvalue()
 
 
@@ -159,14 +197,20 @@ def to_dataset(row: Row[Any]) -> Dataset:
     """A row of `tables.datasets`, bit for bit as it was packed; raises `StoreError` where it is damaged."""
     try:
         with np.load(io.BytesIO(row.arrays)) as arrays:
+            sources = tuple(
+                ErrorSource(values=arrays[f"source_{i}"], groups=arrays.get(f"groups_{i}"), **about)
+                for i, about in enumerate(json.loads(str(arrays["sources"])))
+            )
             return Dataset(
                 sample=row.sample,
+                sources=sources,
                 u_angle=float(arrays["u_angle"]),
                 aperture=float(arrays["aperture"]),
+                checks=tuple(Check(**check) for check in json.loads(row.checks)),
                 lineage=json.loads(row.lineage),
                 **{name: arrays[name] for name in _DATASET_ARRAYS},
             )
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError) as error:
         raise StoreError(
             f"Dataset {row.id} is damaged in the database ({error}); restore the database from a copy"
         ) from error
@@ -182,4 +226,4 @@ def to_constants(text: str) -> Constants:
     """The reverse of `constants_json`."""
     content = json.loads(text)
     arrays = {name: np.array(content[name], dtype=float) for name in ("wavelengths", "nonlinearity")}
-    return Constants(**(content | arrays))
+    return Constants(**(content | arrays | {"bench": BenchData(**content["bench"])}))

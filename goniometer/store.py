@@ -7,6 +7,7 @@ written together or not at all.
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -17,13 +18,15 @@ from drivers.interfaces import Spectrum
 from goniometer import tables
 from goniometer.campaign import Campaign
 from goniometer.database import Database, insert_row
+from goniometer.constants import Constants
 from goniometer.dataset import Dataset
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry
-from goniometer.instrument import Constants
 from goniometer.records import (
+    Characterisation,
     Command,
     Exposure,
+    ExposureKind,
     Outcome,
     Phase,
     Point,
@@ -264,14 +267,24 @@ class Store(Database):
         """Note that a point is being measured, and that this is one more attempt."""
         self._update(tables.points, point_id, status="running", attempts=tables.points.c.attempts + 1)
 
-    def finish_point(self, point: Point, read_back: Geometry, spectra: Sequence[Spectrum], seconds: float) -> None:
+    def finish_point(
+        self,
+        point: Point,
+        read_back: Geometry,
+        spectra: Sequence[Spectrum],
+        moment: float,
+        seconds: float,
+        reason: str = "",
+    ) -> None:
         """Write a measured point together with its raw exposures.
 
+        `moment` is when they were taken, on the clock of the bench; `reason` says what is less than was wanted.
         Raises `StoreError`, and writes nothing, where the point is not being measured.
         """
         with self._writing() as connection:
             connection.execute(
-                insert(tables.exposures), [exposure_row(point.scan_id, point.id, "light", s) for s in spectra]
+                insert(tables.exposures),
+                [exposure_row(point.scan_id, point.id, "light", read_back, moment, s) for s in spectra],
             )
             done = connection.execute(
                 update(tables.points)
@@ -280,7 +293,7 @@ class Store(Database):
                     status="done",
                     read_theta_in=read_back.theta_in,
                     read_theta_out=read_back.theta_out,
-                    reason="",
+                    reason=reason,
                     seconds=tables.points.c.seconds + seconds,
                     finished=now(),
                 )
@@ -301,10 +314,22 @@ class Store(Database):
                 .values(status="pending")
             )
 
-    def add_darks(self, scan_id: int, spectra: Sequence[Spectrum]) -> None:
-        """Write dark exposures of a scan."""
+    def add_exposures(
+        self,
+        scan_id: int,
+        kind: ExposureKind,
+        spectra: Sequence[Spectrum],
+        moment: float,
+        geometry: Geometry | None = None,
+    ) -> None:
+        """Write exposures of a scan that belong to no point: darks, stray light, monitors.
+
+        `moment` is when they were taken, on the clock of the bench; `geometry` where the stages stood, None for darks.
+        """
         with self._writing() as connection:
-            connection.execute(insert(tables.exposures), [exposure_row(scan_id, None, "dark", s) for s in spectra])
+            connection.execute(
+                insert(tables.exposures), [exposure_row(scan_id, None, kind, geometry, moment, s) for s in spectra]
+            )
 
     def exposures(self, scan_id: int) -> list[Exposure]:
         """All raw exposures of a scan, darks included, in the order in which they were written."""
@@ -322,6 +347,7 @@ class Store(Database):
                 scan_id=scan_id,
                 sample=dataset.sample,
                 arrays=pack_dataset(dataset),
+                checks=json.dumps([asdict(check) for check in dataset.checks]),
                 lineage=json.dumps(dataset.lineage, sort_keys=True),
                 content_hash=dataset.content_hash,
                 software_version=software_version(),
@@ -376,3 +402,25 @@ class Store(Database):
         """All files written from a dataset, oldest first."""
         query = select(tables.exports).where(tables.exports.c.dataset_id == dataset_id).order_by(tables.exports.c.id)
         return [StoredText(row.id, row.dataset_id, row.format, row.path) for row in self._all(query)]
+
+    # The bench itself
+
+    def add_characterisation(self, kind: str, text: str) -> int:
+        """Write what was measured of the bench itself, as JSON, and return its id."""
+        with self._writing() as connection:
+            return insert_row(
+                connection,
+                tables.characterisations,
+                kind=kind,
+                json=text,
+                software_version=software_version(),
+                created=now(),
+            )
+
+    def characterisations(self, kind: str | None = None) -> list[Characterisation]:
+        """What was measured of the bench itself (of one kind), oldest first."""
+        table = tables.characterisations
+        query = select(table).order_by(table.c.id)
+        if kind is not None:
+            query = query.where(table.c.kind == kind)
+        return [Characterisation(row.id, row.kind, row.json, row.created) for row in self._all(query)]

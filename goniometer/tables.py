@@ -1,8 +1,9 @@
 """The tables of the database, and how to tell that a database is one of ours.
 
-campaigns 1-n scans 1-n points 1-n exposures; scans 1-n darks (exposures without a point), scans 1-n datasets
-1-n fits and exports. Exposures, datasets, fits and exports are only ever added: in SQLite, triggers refuse to
-change or delete them. Times are ISO 8601 texts in UTC.
+campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors),
+scans 1-n datasets 1-n fits and exports; characterisations of the bench stand alone. Exposures and everything derived
+are only ever added: in SQLite, triggers refuse to change or delete them. Times are ISO 8601 texts in UTC; a moment is
+seconds on the clock of the process that measured.
 """
 
 from sqlalchemy import (
@@ -29,7 +30,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 metadata = MetaData()
 
@@ -67,7 +68,7 @@ scans = Table(
     Column("constants", Text),
     Column("started", String),
     Column("finished", String),
-    CheckConstraint("kind IN ('reference', 'sample')"),
+    CheckConstraint("kind IN ('reference', 'sample', 'spot')"),
     CheckConstraint("phase IN ('idle', 'running', 'pausing', 'paused', 'aborting', 'finished')"),
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("command IN ('pause', 'resume', 'abort')"),
@@ -104,8 +105,13 @@ exposures = Table(
     Column("counts", LargeBinary, nullable=False),
     Column("device_count", Integer, nullable=False),
     Column("detector_temperature", Float, nullable=False),
+    Column("theta_in", Float),
+    Column("theta_out", Float),
+    Column("moment", Float, nullable=False),
     Column("taken", String, nullable=False),
-    CheckConstraint("(kind = 'light' AND point_id IS NOT NULL) OR (kind = 'dark' AND point_id IS NULL)"),
+    CheckConstraint("kind IN ('light', 'dark', 'stray', 'monitor')"),
+    CheckConstraint("(kind = 'light') = (point_id IS NOT NULL)"),
+    CheckConstraint("(kind = 'dark') = (theta_in IS NULL) AND (theta_in IS NULL) = (theta_out IS NULL)"),
     Index("exposures_of_scan", "scan_id"),
 )
 
@@ -116,6 +122,7 @@ datasets = Table(
     Column("scan_id", ForeignKey("scans.id"), nullable=False),
     Column("sample", String, nullable=False),
     Column("arrays", LargeBinary, nullable=False),
+    Column("checks", Text, nullable=False),
     Column("lineage", Text, nullable=False),
     Column("content_hash", String, nullable=False),
     Column("software_version", String, nullable=False),
@@ -144,7 +151,17 @@ exports = Table(
     Column("created", String, nullable=False),
 )
 
-IMMUTABLE = (exposures, datasets, fits, exports)
+characterisations = Table(
+    "characterisations",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("kind", String, nullable=False),
+    Column("json", Text, nullable=False),
+    Column("software_version", String, nullable=False),
+    Column("created", String, nullable=False),
+)
+
+IMMUTABLE = (exposures, datasets, fits, exports, characterisations)
 
 
 def prepare(engine: Engine, where: str) -> None:

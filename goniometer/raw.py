@@ -1,0 +1,126 @@
+"""All that was read from the devices in one scan, as calibration wants it."""
+
+import datetime
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from drivers.arrays import CountArray
+from goniometer.constants import Constants
+from goniometer.geometry import Geometry
+from goniometer.records import Exposure
+from goniometer.store import Store
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Spectra of one integration time, taken in a row where the stages stood."""
+
+    geometry: Geometry
+    """As the stages read it back."""
+    integration_time: float
+    """Seconds."""
+    counts: CountArray
+    """[scans, pixels]"""
+    temperature: float
+    """Mean detector temperature, degrees Celsius."""
+    moment: float
+    """When they were taken, seconds on the clock of the process that took them."""
+    ids: tuple[int, ...]
+    """Of the exposures in the database, ascending: they tell the order in which shots were taken."""
+    point: int | None = None
+    """Number of the point in its `RawScan`; None for stray light and monitors."""
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Dark spectra of one integration time, taken in a row."""
+
+    integration_time: float
+    """Seconds."""
+    counts: CountArray
+    """[read-outs, pixels]"""
+    temperature: float
+    """Mean detector temperature, degrees Celsius."""
+    ids: tuple[int, ...]
+    """Of the exposures in the database."""
+
+
+@dataclass(frozen=True)
+class RawScan:
+    """All that was read from the devices in one scan; points that were not measured are absent."""
+
+    scan_id: int
+    sample: str
+    diameter: float
+    """Of the round sample, mm."""
+    day: datetime.date
+    """On which the scan began, UTC."""
+    constants: Constants
+    planned: tuple[Geometry, ...]
+    """[points] directions as planned; they tell which points share an incident angle."""
+    read_back: tuple[Geometry, ...]
+    """[points] directions as the stages read them back."""
+    shots: tuple[Shot, ...]
+    """Of all points, in the order in which they were taken; a point has one or more, of different times."""
+    darks: tuple[Dark, ...]
+    stray: tuple[Shot, ...] = ()
+    """With the detector in front of the source, where it sees stray light only."""
+    monitors: tuple[Shot, ...] = ()
+    """In one direction that is visited again and again, to see the lamp drift; in the order of time."""
+
+
+def read_raw(store: Store, scan_id: int) -> RawScan:
+    """All measured points of a scan with everything that calibrates them; raises `NotInStore` before it has begun."""
+    scan = store.scan(scan_id)
+    points = [p for p in store.points(scan_id) if p.status == "done"]
+    number = {p.id: i for i, p in enumerate(points)}
+    exposures = store.exposures(scan_id)
+    begun = datetime.date.fromisoformat((scan.started or exposures[0].taken)[:10])
+    campaign = store.campaign(scan.campaign_id)
+    diameters = {sample.name: sample.diameter for sample in campaign.samples}
+    of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in ("light", "dark", "stray", "monitor")}
+    return RawScan(
+        scan_id=scan_id,
+        sample=scan.sample,
+        diameter=campaign.reference.diameter if scan.kind == "reference" else diameters[scan.sample],
+        day=begun,
+        constants=store.constants(scan_id),
+        planned=tuple(p.geometry for p in points),
+        read_back=tuple(p.read_back for p in points if p.read_back is not None),
+        shots=tuple(_shots(of_kind["light"], number)),
+        darks=tuple(_darks(of_kind["dark"])),
+        stray=tuple(_shots(of_kind["stray"], number)),
+        monitors=tuple(_shots(of_kind["monitor"], number)),
+    )
+
+
+def _shots(exposures: list[Exposure], number: dict[int, int]) -> Iterable[Shot]:
+    """What was taken in a row with one integration time."""
+    for (point_id, moment, time), group in groupby(exposures, lambda e: (e.point_id, e.moment, e.integration_time)):
+        members = list(group)
+        geometry = members[0].geometry
+        assert geometry is not None  # the tables see to it
+        yield Shot(
+            geometry,
+            time,
+            np.stack([e.counts for e in members]),
+            float(np.mean([e.detector_temperature for e in members])),
+            moment,
+            tuple(e.id for e in members),
+            None if point_id is None else number[point_id],
+        )
+
+
+def _darks(exposures: list[Exposure]) -> Iterable[Dark]:
+    """What was taken in a row with one integration time."""
+    for (_, time), group in groupby(exposures, lambda e: (e.moment, e.integration_time)):
+        members = list(group)
+        yield Dark(
+            time,
+            np.stack([e.counts for e in members]),
+            float(np.mean([e.detector_temperature for e in members])),
+            tuple(e.id for e in members),
+        )
