@@ -7,33 +7,22 @@ out too rough. Levenberg-Marquardt alone misses narrow lobes, so it starts from 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.directions import Aperture, Directions, in_plane, round_aperture, through_aperture
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
-from analysis.identify import Evidence, judge, lobe_width
-from analysis.models import (
-    LAMBDA_N,
-    cosine_slope,
-    ggx_lobe,
-    measured_cook_torrance,
-    shift,
-    shift_is_clamped,
-    theta_m,
-)
-from analysis.propagation import (
-    ErrorSource,
-    correlation,
-    counting_errors,
-    covariance_by_source,
-    incidence_groups,
-)
+from analysis.identify import LARGEST_RESIDUAL_RATIO, Evidence, judge, lobe_width
+from analysis.models import LAMBDA_N, cosine_slope, ggx_lobe, measured_cook_torrance, shift, shift_is_clamped, theta_m
+from analysis.noise import flag_sentences
+from analysis.propagation import SAME_INCIDENCE, correlation, covariance_by_part, errors_by_part, errors_of_data
 from analysis.results import ModelFit, Parameter
 from drivers.arrays import BoolArray, FloatArray
+from goniometer.angular import incidence_groups
 from goniometer.dataset import Dataset
+from goniometer.uncertainty import ErrorSource, combined, everywhere
 
 DARKEST = -0.99
 """Where cos(theta_in) f of a noisy measurement is cut off, so that ln(1 + cos(theta_in) f) exists."""
@@ -80,7 +69,7 @@ class _View:
 
 @dataclass(frozen=True)
 class _Data:
-    """The measurement as the cost sees it, without saturated points."""
+    """The measurement as the cost sees it, without the points that are not usable."""
 
     dataset: Dataset
     points: BoolArray
@@ -116,12 +105,13 @@ class _Data:
 def cook_torrance_fit(dataset: Dataset, conductor: Conductor | None = None, weighted: bool = False) -> ModelFit:
     """Fit alpha of Cook-Torrance (Eq. 6); `conductor` is aluminium unless given.
 
-    With `weighted` every residual is divided by its standard uncertainty from `dataset.u`; the result's `cost`
-    says which. Saturated points are left out. The standard error passes the measurement's uncertainty, that of
-    the stages included, through the estimator, and is multiplied by the ratio of residuals to noise where that is above
-    one (Birge ratio). r2 is that of
-    ln(1 + cos(theta_in) f). Raises `OutOfRange` for wavelengths beyond the conductor's table and `FitError` if
-    fewer than five points are left or the optimiser gives up.
+    With `weighted` every residual is divided by its standard uncertainty from the counts (`dataset.u_counts`); the
+    result's `cost` says which. Points that are not usable (`dataset.usable`) are left out. The standard error passes
+    all errors of the measurement through the estimator, each shared as it is shared, and is multiplied by the ratio
+    of the residuals to their combined standard uncertainty where that is above two (Birge ratio); systematic errors
+    leave residuals too, so they count in it. r2 is that of ln(1 + cos(theta_in) f). Raises `OutOfRange` for
+    wavelengths beyond the conductor's table and `FitError` if fewer than five points are left or the optimiser gives
+    up.
     """
     data = _data(dataset, conductor or load_conductor(), weighted)
     start = _scan(data, False)
@@ -162,12 +152,12 @@ def _shift_is_determined(data: _Data, view: _View, parameters: tuple[float, floa
 
 def _data(dataset: Dataset, conductor: Conductor, weighted: bool) -> _Data:
     n, k = conductor.index(dataset.wavelengths)
-    valid = np.isfinite(dataset.brdf) & np.isfinite(dataset.u) & (dataset.u > 0)
-    points = valid.any(axis=1) & ~dataset.saturated
+    valid = np.isfinite(dataset.brdf) & np.isfinite(dataset.u_counts) & (dataset.u_counts > 0)
+    points = valid.any(axis=1) & dataset.usable
     if points.sum() < LEAST_POINTS:
         raise FitError(
             f"Only {points.sum()} of {points.size} points of {dataset.sample} have values and uncertainties and are "
-            f"not saturated; a fit needs at least {LEAST_POINTS}."
+            f"usable; a fit needs at least {LEAST_POINTS}. {' '.join(flag_sentences(dataset))}".rstrip()
         )
     valid, theta_in = valid[points], dataset.theta_in[points]
     cos_in = np.cos(np.radians(theta_in))[:, None]
@@ -175,7 +165,7 @@ def _data(dataset: Dataset, conductor: Conductor, weighted: bool) -> _Data:
     log_derivative = cos_in / (1 + seen)
     weight = valid.astype(float)
     if weighted:
-        weight[valid] = 1 / (log_derivative * dataset.u[points])[valid]
+        weight[valid] = 1 / (log_derivative * dataset.u_counts[points])[valid]
     return _Data(
         dataset=dataset,
         points=points,
@@ -268,36 +258,58 @@ def _jacobian(view: _View, parameters: tuple[float, float, float], free: int) ->
     )
 
 
-def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, float]) -> dict[str, ErrorSource]:
-    """What one standard uncertainty of every source does to the residuals; a stage error moves the true direction.
+def _errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, float]) -> tuple[ErrorSource, ...]:
+    """What one standard uncertainty of every source does to the residuals.
+
+    The angles' part of the dataset is replaced by what the model says: it knows, through the aperture, how a lobe
+    changes between two measured directions.
+    """
+    of_dataset = errors_of_data(data.dataset, data.points, data.log_derivative)
+    return (
+        *(source for source in of_dataset if source.part != "angle"),
+        *_angle_errors(data, aperture, parameters),
+    )
+
+
+def _angle_errors(data: _Data, aperture: Aperture, parameters: tuple[float, float, float]) -> tuple[ErrorSource, ...]:
+    """Errors of the stages' positions and zeros; each moves the true direction away from the stated one.
 
     The detector stage sets theta_in + theta_out: its error changes theta_out alone, while an error e of the sample
     stage changes theta_in by e, and with it the irradiance, and theta_out by -e. When the reference panel stood at
     this theta_in the stage had another error; of it only the irradiance matters, as the panel is nearly Lambertian.
+    A zero's error is the same for the panel and the sample, so the irradiance cancels in their ratio.
     """
     dataset = data.dataset
     step = max(1e-3 * dataset.aperture, 1e-5)
-    incidence = incidence_groups(data.theta_in)
+    incidence = incidence_groups(data.theta_in, SAME_INCIDENCE)
+    shared = everywhere(data.theta_in.size)
+    view = data.view(data.theta_in, data.theta_out, aperture)
 
-    def effect(d_in: float, d_out: float) -> FloatArray:
+    def derivative(d_in: float, d_out: float) -> FloatArray:
+        """Of the log model at the stated irradiance, per degree."""
         ahead = data.view(data.theta_in + d_in * step, data.theta_out + d_out * step, aperture)
         behind = data.view(data.theta_in - d_in * step, data.theta_out - d_out * step, aperture)
-        derivative = (ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step)
-        return np.asarray(derivative * dataset.u_angle)
+        ahead, behind = (replace(moved, cos_in=view.cos_in) for moved in (ahead, behind))
+        return np.asarray((ahead.log_model(*parameters) - behind.log_model(*parameters)) / (2 * step))
 
-    view = data.view(data.theta_in, data.theta_out, aperture)
-    # d ln(1 + x) = x / (1 + x) dx / x; the relative error of the irradiance is tan(theta_in) times that of the angle
-    irradiance = np.tan(np.radians(data.theta_in)) * np.radians(dataset.u_angle)
-    at_reference = -np.expm1(-view.log_model(*parameters)) * irradiance[:, None]
-    return counting_errors(dataset, data.points, data.log_derivative) | {
-        "detector_stage": ErrorSource(effect(0.0, 1.0), None, True),
-        "sample_stage": ErrorSource(effect(1.0, -1.0), incidence, True),
-        "sample_stage_at_reference": ErrorSource(at_reference, incidence, True),
-    }
+    by_detector, by_sample = derivative(0.0, 1.0), derivative(1.0, -1.0)
+    # d ln(1 + x) = x / (1 + x) dx / x; the relative error of the irradiance is -tan(theta_in) times that of the angle
+    share = -np.expm1(-view.log_model(*parameters))
+    irradiance = -share * np.tan(np.radians(data.theta_in))[:, None] * np.pi / 180
+    return tuple(
+        ErrorSource(f"angle: {name}", "angle", size * effect, groups, shared_by_wavelengths=True)
+        for name, effect, groups, size in (
+            ("detector stage", by_detector, None, dataset.u_angle),
+            ("sample stage", by_sample + irradiance, incidence, dataset.u_angle),
+            ("sample stage at the reference", irradiance, incidence, dataset.u_angle),
+            ("detector zero", by_detector, shared, dataset.u_zero),
+            ("sample zero", by_sample, shared, dataset.u_zero),
+        )
+    )
 
 
 def _covariances(data: _Data, view: _View, parameters: tuple[float, float, float], free: int) -> dict[str, FloatArray]:
-    """[free, free] covariance of (alpha, h, w) that each source of error gives; infinite for what is undetermined."""
+    """[free, free] covariance of (alpha, h, w) by part of the budget; infinite for what is undetermined."""
     weighted = _jacobian(view, parameters, free) * data.root_weight
     flat = weighted.reshape(free, -1)
     size = np.linalg.norm(flat, axis=1)
@@ -306,7 +318,7 @@ def _covariances(data: _Data, view: _View, parameters: tuple[float, float, float
         return {"random": np.full((free, free), math.inf)}
     gain = (np.linalg.solve(normal, flat / size[:, None]) / size[:, None]).reshape(weighted.shape) * data.root_weight
     gain[0] *= parameters[0]
-    return covariance_by_source(gain, _errors(data, view.aperture, parameters))
+    return covariance_by_part(gain, _errors(data, view.aperture, parameters))
 
 
 def _result(
@@ -321,29 +333,29 @@ def _result(
 ) -> ModelFit:
     dataset = data.dataset
     with_shift = shift_determined is not None
-    by_source = _covariances(data, view, parameters, free)
+    by_part = _covariances(data, view, parameters, free)
     shown = 3 if with_shift else 1
     valid = data.root_weight > 0
     residual = (view.log_model(*parameters) - data.log_measured)[valid]
     errors = _errors(data, view.aperture, parameters)
-    expected = np.sqrt(sum(source.values**2 for source in errors.values()))[valid]
+    expected = combined(errors, valid.shape)[valid]
     around = data.log_measured[valid] - data.log_measured[valid].mean()
     residual_ratio = float(np.sqrt(np.mean((residual / expected) ** 2)))
-    # residuals beyond the noise are errors of the model; the parameters then stand for less than the noise says
-    inflation = max(residual_ratio, 1.0) ** 2
+    # residuals beyond the uncertainty are errors of the model; the parameters then stand for less than it says
+    inflation = residual_ratio if residual_ratio > LARGEST_RESIDUAL_RATIO else 1.0
     covariance = np.diag(np.full(shown, math.inf))
-    covariance[:free, :free] = inflation * sum(by_source.values())
+    covariance[:free, :free] = inflation**2 * sum(by_part.values())
     sigma = np.sqrt(np.diag(covariance))
     alpha, h, w = parameters
     slope = cosine_slope(theta_m(in_plane(dataset.theta_in, dataset.theta_out)), h, w)
-    angle = sum(inflation * float(part[0, 0]) for source, part in by_source.items() if "stage" in source)
+    shares = [errors_by_part(by_part, i, inflation) if i < free else {} for i in range(shown)]
     verdict = judge(
         Evidence(
             dataset=dataset,
             fitted=data.points,
             alpha=alpha,
             u_alpha=float(sigma[0]),
-            u_alpha_from_angles=math.sqrt(angle),
+            u_alpha_from_angles=shares[0].get("angle", 0.0),
             residual_ratio=residual_ratio,
             scanned_alphas=(float(_ALPHAS[0]), float(_ALPHAS[-1])),
             h=h if with_shift else None,
@@ -359,11 +371,10 @@ def _result(
             else "f = F G D / (4 cos_i cos_o), Eq. 6"
         ),
         parameters=tuple(
-            Parameter(name, value, float(error), unit)
-            for name, value, error, unit in zip(_NAMES[:shown], parameters[:shown], sigma, _UNITS, strict=False)
+            Parameter(_NAMES[i], parameters[i], float(sigma[i]), _UNITS[i], shares[i]) for i in range(shown)
         ),
         correlation=correlation(covariance),
-        cost="loew, each residual divided by its standard uncertainty" if weighted else "loew",
+        cost="loew, each residual divided by its standard uncertainty from the counts" if weighted else "loew",
         cost_value=cost,
         r2=float(1 - np.sum(residual**2) / np.sum(around**2)),
         verdict=verdict,

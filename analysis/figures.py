@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from analysis.colour import brdf_to_rgb, display_encoded
 from analysis.models import cosine_slope
-from analysis.noise import at_wavelength, hue_is_known
+from analysis.noise import at_wavelength, clear_of_noise, flag_words, hue_is_known
 from analysis.notation import with_uncertainty
-from analysis.propagation import incidence_groups
+from analysis.propagation import SAME_INCIDENCE
 from analysis.results import LocalFit, ModelFit
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.angular import incidence_groups
+from goniometer.budget import COVERAGE_FACTOR
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
@@ -23,12 +25,14 @@ SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#
 """Anchors of the line colours: told apart by blue against yellow, which colour-blind eyes keep, and all of a
 luminance that stands out against a white page and against a black one."""
 
-COVERAGE = 2
+COVERAGE = COVERAGE_FACTOR
 """Coverage factor of every band and error bar."""
 
 _MAP_LIMITS = (-90.0, 90.0)
 _MISSING = "#80808026"
-_LEAST_SIGNAL = 100.0  # signal over standard uncertainty below which a single spectrum would only show its noise
+_LEAST_SIGNAL = (
+    100.0  # signal over standard uncertainty of the counts below which a single spectrum would only show its noise
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ def cell_edges(theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
     A cell reaches halfway to its neighbours of the same incident angle, not further than the blocked sector,
     and at the end of a row as far as towards its only neighbour, 3 degrees at most.
     """
-    groups = incidence_groups(theta_in)
+    groups = incidence_groups(theta_in, SAME_INCIDENCE)
     rows = np.array([theta_in[groups == g].mean() for g in range(groups.max() + 1)])
     bottoms, tops = _halfway(rows, 5.0)
     edges = np.empty((theta_in.size, 4))
@@ -102,8 +106,9 @@ def colour_map(
     """In-plane map of `values` [points, wavelengths], 1/sr, as colours under D65 (Fig. 5).
 
     With `exposure` None every cell is shown at the same luminance, so that only its hue is left; cells whose
-    signal at 600 nm is below twenty standard uncertainties stay pale then. Tooltips give
-    the angles and, for `measured` values, the BRDF at 600 nm with its standard uncertainty.
+    signal at 600 nm is below twenty standard uncertainties of its counts stay pale then. Tooltips
+    give the angles and, for `measured` values, the BRDF at 600 nm with its combined standard uncertainty (coverage
+    factor 1) and what the point is flagged for; flagged cells are outlined then.
     """
     rgb = brdf_to_rgb(values, dataset.theta_in, dataset.wavelengths)
     f, u = at_wavelength(dataset, 600.0)
@@ -113,8 +118,14 @@ def colour_map(
     else:
         rgb = rgb * exposure.factor
     fills = [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]
-    extra = [f"f(600 nm) = {with_uncertainty(*pair)} 1/sr" if measured else "" for pair in zip(f, u, strict=True)]
-    return _map(dataset, fills, extra, name, title)
+    if not measured:
+        return _map(dataset, fills, [""] * f.size, name, title)
+    words = [flag_words(int(flags)) for flags in dataset.flags]
+    extra = [
+        f"f(600 nm) = {with_uncertainty(value, error)} 1/sr{'; ' if flagged else ''}{flagged}"
+        for value, error, flagged in zip(f, u, words, strict=True)
+    ]
+    return _map(dataset, fills, extra, name, title, dataset.flags != 0)
 
 
 def difference_map(dataset: Dataset, differences: FloatArray, largest: float, name: str, title: str) -> str:
@@ -141,8 +152,11 @@ def _scale_colour(share: float) -> str:
     return hex_colour(colormaps["cividis"](float(np.clip(share, 0, 1)))[:3])
 
 
-def _map(dataset: Dataset, fills: list[str], extra: list[str], name: str, title: str) -> str:
+def _map(
+    dataset: Dataset, fills: list[str], extra: list[str], name: str, title: str, outlined: BoolArray | None = None
+) -> str:
     edges = cell_edges(dataset.theta_in, dataset.theta_out)
+    marked = np.zeros(len(fills), dtype=bool) if outlined is None else outlined
     cells = [
         Cell(
             edge[0],
@@ -151,13 +165,14 @@ def _map(dataset: Dataset, fills: list[str], extra: list[str], name: str, title:
             edge[3],
             fill,
             f"θ in {t_in:.1f}°, θ out {t_out:.1f}°{'; ' if more else ''}{more}",
+            bool(mark),
         )
-        for edge, fill, t_in, t_out, more in zip(
-            edges.tolist(), fills, dataset.theta_in, dataset.theta_out, extra, strict=True
+        for edge, fill, t_in, t_out, more, mark in zip(
+            edges.tolist(), fills, dataset.theta_in, dataset.theta_out, extra, marked, strict=True
         )
         if edge[1] > edge[0]
     ]
-    groups = incidence_groups(dataset.theta_in)
+    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     low, high = float(edges[:, 2].min()), float(edges[:, 3].max())
     with style():
         figure, axes = new_axes(330, 235)
@@ -207,13 +222,13 @@ def distributions(dataset: Dataset, name: str, wavelength: float = 600.0) -> str
 def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0, count: int = 7) -> str:
     """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
 
-    Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with its expanded
-    uncertainty, lines the local fit. Spectra that are unreliable or weaker than twenty standard uncertainties are
-    not chosen.
+    Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with the expanded
+    uncertainty of its counts (an error that all wavelengths share does not change their ratio), lines the local fit.
+    Spectra that are unreliable or weaker than a hundred standard uncertainties of their counts are not chosen.
     """
-    groups = incidence_groups(dataset.theta_in)
+    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
-    clear = local.scale > _LEAST_SIGNAL * at_wavelength(dataset, local.lambda_n)[1]
+    clear = clear_of_noise(dataset, local.lambda_n, _LEAST_SIGNAL)
     usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
     usable = usable[np.argsort(dataset.theta_out[usable])]
     directions = dataset.theta_out[usable]
@@ -221,7 +236,7 @@ def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0
     chosen = usable[np.unique(np.argmin(np.abs(directions[:, None] - wanted), axis=0))] if usable.size else usable
     angle = float(dataset.theta_in[groups == nearest].mean())
     scale = local.scale[chosen, None]
-    measured, u, fitted = (values[chosen] / scale for values in (dataset.brdf, dataset.u, local.fitted))
+    measured, u, fitted = (values[chosen] / scale for values in (dataset.brdf, dataset.u_counts, local.fitted))
     with style():
         figure, axes = new_axes(430, 300, right=62, top=22)
         for i, colour in enumerate(line_colours(chosen.size)):
@@ -284,7 +299,7 @@ def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str) -> list[
 
 def _by_incidence(dataset: Dataset) -> list[tuple[tuple[float, NDArray[np.intp]], str]]:
     """Mean incident angle, the points of it in order of theta_out, and a colour."""
-    groups = incidence_groups(dataset.theta_in)
+    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     count = int(groups.max()) + 1
     rows = []
     for g in range(count):

@@ -8,7 +8,7 @@ The refractive index is part of the file, so that a model does not change when a
 import json
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any, cast
 
@@ -18,20 +18,22 @@ from analysis.directions import in_plane
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.models import cook_torrance, cosine_slope, shift, theta_m
+from analysis.noise import flag_words
 from analysis.results import ColourDifferences, LocalFit, ModelFit, Parameter, SampleAnalysis, Verdict
 from drivers.arrays import FloatArray
-from goniometer.dataset import NOT_COVERED, Dataset
+from goniometer.dataset import MEANING, Dataset
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry
+from goniometer.uncertainty import PARTS
 
 FIT_SCHEMA = "goniometer-fit"
 ANALYSIS_SCHEMA = "goniometer-analysis"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _NOTE = (
     'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
-    f"(coverage factor 1; {NOT_COVERED}); angles in degrees, theta_out signed with the mirror direction at +theta_in, "
-    "wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
+    f"(coverage factor 1) by {', '.join(PARTS)}; angles in degrees, theta_out signed with the mirror direction at "
+    "+theta_in, wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
 )
 
 _LINE_BREAK = re.compile(r"\s*\n\s*")
@@ -130,6 +132,9 @@ def analysis_to_json(analysis: SampleAnalysis, conductor: Conductor) -> str:
                 "wavelengths_nm": dataset.wavelengths.tolist(),
                 "aperture_deg": dataset.aperture,
                 "u_stage_deg": dataset.u_angle,
+                "u_zero_deg": dataset.u_zero,
+                "flagged_points": {words: int(dataset.flagged(flag).sum()) for flag, words in MEANING.items()},
+                "checks": [asdict(check) for check in dataset.checks],
                 "lineage": dataset.lineage,
             },
             "local": _local_part(analysis.local, dataset, analysis.differences["local"]),
@@ -154,7 +159,13 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
         "equation": fit.equation,
         "lambda_n_nm": fit.lambda_n,
         "parameters": [
-            {"name": p.name, "value": p.value, "standard_error": p.standard_error, "unit": p.unit}
+            {
+                "name": p.name,
+                "value": p.value,
+                "standard_error": p.standard_error,
+                "unit": p.unit,
+                "standard_error_by_part": p.error_by_part,
+            }
             for p in fit.parameters
         ],
         "correlation": fit.correlation.tolist(),
@@ -191,6 +202,7 @@ def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifference
         "a_per_sr": local.scale[seen].tolist(),
         "r2": local.r2[seen].tolist(),
         "reliable": local.reliable[seen].tolist(),
+        "flags": [flag_words(int(flags)) for flags in dataset.flags[seen]],
         "dE00_absolute": differences.absolute[seen].tolist(),
         "dE00_chromatic": differences.chromatic[seen].tolist(),
     }
@@ -211,7 +223,13 @@ def _stored_fit(document: dict[str, Any]) -> StoredFit:
     low_out, high_out = (float(v) for v in fitted_to["theta_out_deg"])
     shortest, longest = (float(v) for v in fitted_to["wavelength_nm"])
     parameters = tuple(
-        Parameter(str(p["name"]), float(p["value"]), float(p["standard_error"]), str(p["unit"]))
+        Parameter(
+            str(p["name"]),
+            float(p["value"]),
+            float(p["standard_error"]),
+            str(p["unit"]),
+            {str(part): float(error) for part, error in p["standard_error_by_part"].items()},
+        )
         for p in document["parameters"]
     )
     return StoredFit(

@@ -4,6 +4,8 @@ m(theta_m) = h cos(w theta_m) + t_y is singular at small w, where h and t_y only
 uses m0 + c (1 - cos(w theta_m)) / w^2 instead, which stays well conditioned, and goes through w on a grid.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import f as f_distribution
@@ -12,7 +14,8 @@ from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.local_fit import local_gain, shifted_fresnel
 from analysis.models import cosine_slope, shift_is_clamped
-from analysis.propagation import correlation, counting_errors, covariance_by_source
+from analysis.noise import flag_sentences
+from analysis.propagation import correlation, covariance_by_part, errors_by_part, variance_of_each_point
 from analysis.results import LocalFit, ModelFit, Parameter, Verdict
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -27,8 +30,9 @@ _SIGNIFICANCE = 0.01
 def global_fit(dataset: Dataset, local: LocalFit, conductor: Conductor | None = None) -> ModelFit:
     """Fit Eq. 5 to the reliable slopes of `local`, and one exponent p to its exponents (Eq. 3).
 
-    Both are weighted by the local uncertainties. Standard errors come from the measurement, errors shared
-    through the reference scan included; where the slopes (or exponents) scatter more than that, by a reduced
+    Both are weighted by the local uncertainties, of all errors: with the noise alone, the few brightest directions
+    would decide, whose errors are anything but noise. Standard errors come from the measurement, errors that points
+    or wavelengths share included; where the slopes (or exponents) scatter more than their uncertainty, by a reduced
     chi-square above one, they are inflated by its root (Birge ratio) and the verdict says so. The verdict
     rests on an F-test of the cosine against a constant slope. It is a model of normalised spectra: `fitted`
     takes its scale at lambda_n from `local`, point by point. r2 is that of the slopes, weighted.
@@ -47,7 +51,7 @@ def global_fit(dataset: Dataset, local: LocalFit, conductor: Conductor | None = 
     h, w, t_y, chi2 = _search(slopes, weight, theta)
 
     gain_of_slope, gain_of_exponent = local_gain(dataset, local, conductor)
-    u_exponent = np.sqrt(np.sum((gain_of_exponent[used] * np.nan_to_num(dataset.u[used])) ** 2, axis=-1))
+    u_exponent = np.sqrt(variance_of_each_point(gain_of_exponent, dataset.sources))[used]
     share = u_exponent**-2 / np.sum(u_exponent**-2)
     p = float(share @ local.exponent[used])
 
@@ -55,8 +59,8 @@ def global_fit(dataset: Dataset, local: LocalFit, conductor: Conductor | None = 
     gain = np.zeros((4, *dataset.brdf.shape))
     gain[:3, used] = estimator[:, :, None] * gain_of_slope[used]
     gain[3, used] = share[:, None] * gain_of_exponent[used]
-    everywhere = np.ones(used.size, dtype=bool)
-    covariance = sum(covariance_by_source(gain, counting_errors(dataset, everywhere)).values())
+    by_part = covariance_by_part(gain, dataset.sources)
+    covariance = sum(by_part.values())
     scatter = np.sqrt(max(chi2 / (count - 3), 1.0))
     scatter_p = np.sqrt(max(float(np.sum(((local.exponent[used] - p) / u_exponent) ** 2)) / (count - 1), 1.0))
     inflation = np.array([scatter, scatter, scatter, scatter_p])
@@ -70,15 +74,16 @@ def global_fit(dataset: Dataset, local: LocalFit, conductor: Conductor | None = 
     verdict = _verdict(
         chi2, chi2_constant, count, used.size, w, bool(determined), float(theta.max()), scatter, scatter_p
     )
+    verdict = replace(verdict, reasons=verdict.reasons + flag_sentences(dataset))
 
     slope = cosine_slope(theta_m, h, w, t_y)
     return ModelFit(
         model="global",
         equation="f / f(lambda_n) = (1 + m (lambda - lambda_n)) F_n^p, m = h cos(w theta_m) + t_y, Eqs. 3-5",
         parameters=tuple(
-            Parameter(name, float(value), float(error), unit)
-            for name, value, error, unit in zip(
-                ("h", "w", "t_y", "p"), (h, w, t_y, p), standard_errors, ("1/um", "1", "1/um", "1"), strict=True
+            Parameter(name, float(value), float(error), unit, errors_by_part(by_part, i, float(inflation[i])))
+            for i, (name, value, error, unit) in enumerate(
+                zip(("h", "w", "t_y", "p"), (h, w, t_y, p), standard_errors, ("1/um", "1", "1/um", "1"), strict=True)
             )
         ),
         correlation=correlation(covariance),
@@ -170,12 +175,12 @@ def _verdict(
         notes.append(f"{total - count} of {total} spectra have no reliable slope and were left out.")
     if scatter > 1:
         notes.append(
-            f"The slopes scatter {scatter:.3g} times as much as their uncertainty; "
+            f"The slopes scatter {scatter:.3g} times as much as their combined standard uncertainty; "
             "the standard errors of h, w and t_y are inflated by this factor (Birge ratio)."
         )
     if scatter_p > 1:
         notes.append(
-            f"The exponents scatter {scatter_p:.3g} times as much as their uncertainty; "
+            f"The exponents scatter {scatter_p:.3g} times as much as their combined standard uncertainty; "
             "the standard error of p is inflated by this factor (Birge ratio)."
         )
     return Verdict(not against, (*against, *notes))

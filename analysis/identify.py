@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.noise import above_noise
+from analysis.noise import above_noise, flag_sentences
 from analysis.results import Verdict
 from drivers.arrays import BoolArray
 from goniometer.dataset import Dataset
@@ -16,8 +16,12 @@ LEAST_SHARE_ABOVE_NOISE = 0.25
 LARGEST_RELATIVE_ERROR = 0.1
 """Relative standard error beyond which alpha counts as undetermined."""
 
-NOTED_RESIDUAL_RATIO = 2.0
-"""Residuals larger than this many standard uncertainties are mentioned."""
+LARGEST_RESIDUAL_RATIO = 2.0
+"""Residuals may be as many times their combined standard uncertainty before the standard errors are inflated.
+
+Not one: where an error that all residuals share is the largest, their ratio is the size of one normal number, which
+is beyond two once in 22 times.
+"""
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,9 @@ class Evidence:
     alpha: float
     u_alpha: float
     u_alpha_from_angles: float
-    """The part of `u_alpha` that the uncertainty of the stages makes."""
+    """The part of `u_alpha` that the angles make: errors of the positions and of the zeros of the stages."""
     residual_ratio: float
-    """Root mean square of residual over its standard uncertainty."""
+    """Root mean square of residual over its combined standard uncertainty, systematic errors included."""
     scanned_alphas: tuple[float, float]
     """Smallest and largest alpha that was scanned for a start."""
     h: float | None
@@ -67,8 +71,8 @@ def _against_alpha(evidence: Evidence) -> list[str]:
         share = (evidence.u_alpha_from_angles / evidence.u_alpha) ** 2 if math.isfinite(evidence.u_alpha) else 0.0
         reasons.append(
             f"The lobe is {width:.2g} deg wide and the aperture {dataset.aperture:.2g} deg, so what was measured is "
-            f"mostly the aperture; {share:.0%} of the variance of alpha comes from stage errors of "
-            f"{dataset.u_angle:.2g} deg."
+            f"mostly the aperture; {share:.0%} of the variance of alpha comes from the stages: standard uncertainties "
+            f"of {dataset.u_angle:.2g} deg of a position and {dataset.u_zero:.2g} deg of a zero."
         )
     if evidence.u_alpha > LARGEST_RELATIVE_ERROR * evidence.alpha:
         reasons.append(
@@ -98,13 +102,11 @@ def _against_shift(evidence: Evidence) -> list[str]:
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    dataset, notes = evidence.dataset, []
-    saturated = int(dataset.saturated.sum())
-    if saturated:
-        notes.append(f"{saturated} of {dataset.saturated.size} points were saturated and left out.")
-    if evidence.residual_ratio > NOTED_RESIDUAL_RATIO:
+    notes = list(flag_sentences(evidence.dataset))
+    if evidence.residual_ratio > LARGEST_RESIDUAL_RATIO:
         notes.append(
-            f"The residuals are {evidence.residual_ratio:.3g} times the uncertainty of the measurement: the model "
-            "does not describe everything. The standard errors are inflated by this factor (Birge ratio)."
+            f"The residuals are {evidence.residual_ratio:.3g} times the combined standard uncertainty of the "
+            "measurement, systematic errors included: the model does not describe everything. The standard errors are "
+            "inflated by this factor (Birge ratio)."
         )
     return notes

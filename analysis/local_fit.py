@@ -13,6 +13,7 @@ import numpy as np
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from analysis.models import LAMBDA_N, shift
+from analysis.propagation import variance_of_each_point
 from analysis.results import LocalFit
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
@@ -34,7 +35,7 @@ class _Spectra(NamedTuple):
     values: FloatArray
     """[points, wavelengths] BRDF, 1/sr; 0 where there is none."""
     root_weight: FloatArray
-    """[points, wavelengths] one over the standard uncertainty; 0 where there is no value."""
+    """[points, wavelengths] one over the standard uncertainty from the counts; 0 where there is no value."""
     x: FloatArray
     """[wavelengths] distance to lambda_n, um."""
     log_fresnel: FloatArray
@@ -58,11 +59,12 @@ class _State(NamedTuple):
 
 
 def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: float = LAMBDA_N) -> LocalFit:
-    """Fit Eq. 2 to every spectrum of `dataset`, weighted by its uncertainty; `conductor` is aluminium unless given.
+    """Fit Eq. 2 to every spectrum of `dataset`, weighted by the noise of its counts (`dataset.u_counts`).
 
-    The uncertainty of the slope follows from that of the measurement by the delta method. A spectrum with fewer
-    than five valid wavelengths gets NaN. Unreliable are saturated spectra, those whose median signal is
-    below their uncertainty, and those whose exponent stopped at a bound (-5, 15) or did not settle.
+    `conductor` is aluminium unless given. The uncertainty of the slope follows from all errors of the measurement
+    by the delta method, those that wavelengths share included. A spectrum with fewer than five valid wavelengths
+    gets NaN. Unreliable are points that are not usable (`dataset.usable`), those whose median signal is below its
+    noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """
     spectra = _spectra(dataset, conductor or load_conductor(), lambda_n)
@@ -70,15 +72,15 @@ def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: fl
     if not enough.any():
         raise FitError(
             f"No spectrum of {dataset.sample} has {LEAST_WAVELENGTHS} wavelengths with a value and an uncertainty "
-            "above zero; check the calibration."
+            "from its counts above zero; check the calibration."
         )
     fitted_spectra = spectra.take(enough)
     exponent, settled = _search_exponent(fitted_spectra)
     state = _linear(fitted_spectra, exponent)
     slope = _ratio(state.tilt, state.scale)
-    gain = _slope_and_exponent_gain(fitted_spectra, state, slope)
-    # `gain` acts on data in units of their own uncertainty, so the variance is its square sum
-    u_slope = np.sqrt(np.sum(gain[0] ** 2, axis=-1))
+    gain = np.zeros(dataset.brdf.shape)
+    gain[enough] = _slope_and_exponent_gain(fitted_spectra, state, slope)[0] * fitted_spectra.root_weight
+    u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))[enough]
 
     fitted = _model(state.scale, slope, exponent, fitted_spectra)
     noise = np.where(fitted_spectra.root_weight > 0, fitted * fitted_spectra.root_weight, np.nan)
@@ -89,7 +91,7 @@ def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: fl
         & (exponent > low)
         & (exponent < high)
         & np.isfinite(u_slope)
-        & ~dataset.saturated[enough]
+        & dataset.usable[enough]
     )
 
     def at_all_points(values: FloatArray) -> FloatArray:
@@ -115,7 +117,7 @@ def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor) -> Float
     """[2, points, wavelengths] derivative of slope (1/um) and exponent by each BRDF value, at the fit's solution.
 
     Zero where a value was not used, and at points that are not reliable. This is what passes errors that
-    points share (the reference scan's) on to whatever is made of the slopes.
+    points share on to whatever is made of the slopes.
     """
     used = local.reliable
     spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
@@ -139,7 +141,7 @@ def shifted_fresnel(
 def _spectra(dataset: Dataset, conductor: Conductor, lambda_n: float) -> _Spectra:
     n, k = conductor.index(np.append(dataset.wavelengths, lambda_n))
     fresnel = fresnel_conductor(np.cos(np.radians(dataset.theta_in))[:, None], n, k)
-    u = dataset.u
+    u = dataset.u_counts
     valid = np.isfinite(dataset.brdf) & np.isfinite(u) & (u > 0)
     return _Spectra(
         values=np.where(valid, dataset.brdf, 0.0),

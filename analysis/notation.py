@@ -44,5 +44,20 @@ def roughly(value: float) -> str:
     return f"≈ {value:.2g}".replace("-", "−")
 
 
+def uncertainty(value: float) -> str:
+    """An uncertainty on its own, with two digits (JCGM 100:2008, 7.2.6).
+
+    >>> uncertainty(0.00471), uncertainty(0.0000551), uncertainty(0.0996)
+    ('0.0047', '5.5 × 10⁻⁵', '0.10')
+    """
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    digits, exponent = f"{value:.1e}".split("e")
+    power = int(exponent)
+    if -4 <= power < 2:
+        return f"{float(f'{value:.1e}'):.{1 - power}f}"
+    return f"{digits}{_times(power)}"
+
+
 def _times(power: int) -> str:
     return f" × 10{str(power).translate(_SUPERSCRIPT)}" if power else ""

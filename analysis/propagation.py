@@ -5,84 +5,64 @@ gain * d(data). What matters is which errors are shared, and by which points (la
 uncertainty, JCGM 100:2008, 5.2).
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
+from goniometer.uncertainty import PARTS, ErrorSource, covariance_by_source
 
 SAME_INCIDENCE = 0.05
 """Read-back incident angles closer than this belong to one position of the sample stage, degrees."""
 
-Groups = NDArray[np.intp]
-"""[points] number, from 0, of the group that a point belongs to."""
 
-
-class ErrorSource(NamedTuple):
-    """One source of error: its standard uncertainty as a change of the data, and who shares the error."""
-
-    values: FloatArray
-    """[points, wavelengths]"""
-    groups: Groups | None
-    """Points of one group have the same error; None where every point has its own."""
-    shared_by_wavelengths: bool
-    """Whether all wavelengths of a point have the same error."""
-
-
-def counting_errors(dataset: Dataset, points: BoolArray, factor: FloatArray | float = 1.0) -> dict[str, ErrorSource]:
-    """What the noise of counts, of the sample's scan and of the reference's, does to data = `factor` x BRDF.
+def errors_of_data(dataset: Dataset, points: BoolArray, factor: FloatArray) -> tuple[ErrorSource, ...]:
+    """The dataset's sources at some points, as errors of data = `factor` x BRDF.
 
     `points` [all points] says which points to take; `factor` [points, wavelengths] is the derivative of a datum by
-    the BRDF. Values that do not exist count as free of error, as nothing is fitted to them.
+    the BRDF.
     """
-    _, times = np.unique(dataset.integration_time[points], return_inverse=True)
-    together = np.zeros_like(times)
-    incidence = incidence_groups(dataset.theta_in[points])
-    shared = {"random": None, "dark": times, "reference": incidence, "reference_dark": together}
-    return {
-        name: ErrorSource(factor * np.nan_to_num(getattr(dataset, f"u_{name}")[points]), groups, False)
-        for name, groups in shared.items()
-    }
+    return tuple(
+        ErrorSource(
+            source.name,
+            source.part,
+            factor * source.values[points],
+            None if source.groups is None else source.groups[points],
+            source.shared_by_wavelengths,
+        )
+        for source in dataset.sources
+    )
 
 
-def incidence_groups(theta_in: FloatArray) -> Groups:
-    """[points] number, from 0, of the incident angle that a point belongs to; `theta_in` in degrees.
+def covariance_by_part(gain: FloatArray, sources: tuple[ErrorSource, ...]) -> dict[str, FloatArray]:
+    """[parameters, parameters] covariance that each part of the budget gives, in the order of `PARTS`.
 
-    Angles are as read back, so neighbours within 0.05 degrees are one position of the stage.
+    `gain` as in `covariance_by_source`; parts without a source are absent.
     """
-    order = np.argsort(theta_in, kind="stable")
-    groups = np.empty(theta_in.size, dtype=np.intp)
-    groups[order] = np.concatenate([[0], np.cumsum(np.diff(theta_in[order]) > SAME_INCIDENCE)])
-    return groups
-
-
-def _shared(values: FloatArray, groups: Groups) -> FloatArray:
-    """[parameters, ..., groups] sums of [parameters, points, ...] over the points of each group."""
-    member = groups[:, None] == np.arange(groups.max() + 1)
-    return np.tensordot(values, member.astype(float), axes=(1, 0))
-
-
-def _outer(values: FloatArray) -> FloatArray:
-    """[parameters, parameters] products of [parameters, ...], summed over everything else."""
-    flat = values.reshape(values.shape[0], -1)
-    return np.asarray(flat @ flat.T)
-
-
-def covariance_by_source(gain: FloatArray, errors: dict[str, ErrorSource]) -> dict[str, FloatArray]:
-    """[parameters, parameters] covariance that each source gives, by its name.
-
-    `gain` is [parameters, points, wavelengths]: derivative of each parameter by each datum, zero where a datum
-    was left out. The covariance of the fit is their sum.
-    """
-    found = {}
-    for name, source in errors.items():
-        effect = gain * source.values
-        if source.shared_by_wavelengths:
-            effect = effect.sum(axis=-1, keepdims=True)
-        found[name] = _outer(effect if source.groups is None else _shared(effect, source.groups))
+    by_source = covariance_by_source(gain, sources)
+    part_of = {source.name: source.part for source in sources}
+    found: dict[str, FloatArray] = {}
+    for part in PARTS:
+        members = [covariance for name, covariance in by_source.items() if part_of[name] == part]
+        if members:
+            found[part] = np.sum(members, axis=0)
     return found
+
+
+def variance_of_each_point(gain: FloatArray, sources: tuple[ErrorSource, ...]) -> FloatArray:
+    """[points] variance of a quantity that every point has for itself, by all `sources`.
+
+    `gain` [points, wavelengths] is its derivative by the data of its own point.
+    """
+    variance = np.zeros(gain.shape[0])
+    for source in sources:
+        effect = gain * source.values
+        variance += effect.sum(axis=-1) ** 2 if source.shared_by_wavelengths else (effect**2).sum(axis=-1)
+    return variance
+
+
+def errors_by_part(by_part: dict[str, FloatArray], parameter: int, inflation: float = 1.0) -> dict[str, float]:
+    """Standard error that each part gives to one parameter, from `covariance_by_part`, times `inflation`."""
+    return {part: inflation * float(np.sqrt(covariance[parameter, parameter])) for part, covariance in by_part.items()}
 
 
 def correlation(covariance: FloatArray) -> FloatArray:

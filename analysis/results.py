@@ -1,7 +1,7 @@
 """What the analysis of one dataset gives: fits, verdicts and colour differences."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,9 @@ class Parameter:
     """Standard uncertainty (coverage factor 1), propagated from the uncertainty of the measurement."""
     unit: str
     """"1" for a pure number, else e.g. "1/um"."""
+    error_by_part: dict[str, float] = field(default_factory=dict)
+    """What each part of the uncertainty budget (`goniometer.uncertainty.PARTS`) gives to `standard_error`, which is
+    the root of the sum of their squares; empty where the parameter is not determined."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class LocalFit:
     slope: FloatArray
     """m, 1/um."""
     u_slope: FloatArray
-    """Standard uncertainty of m, 1/um."""
+    """Standard uncertainty of m (coverage factor 1), by all errors of the measurement, 1/um."""
     exponent: FloatArray
     """p, a pure number."""
     scale: FloatArray
@@ -45,7 +48,7 @@ class LocalFit:
     r2: FloatArray
     """Coefficient of determination of the spectrum."""
     reliable: BoolArray
-    """False where the signal-to-noise ratio is too low or the optimiser stopped at a bound."""
+    """False where the point is flagged as unusable, the signal drowns in noise, or the optimiser stopped at a bound."""
     fitted: FloatArray
     """[points, wavelengths] the fitted spectra, 1/sr."""
     lambda_n: float

@@ -9,7 +9,7 @@ import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ INK = "#010203"
 """The sentinel that becomes `currentColor`."""
 
 _CELLS = "cells-stand-here"
+_TOUCHING = 1e-6  # data units
 _STYLE: "dict[RcKeyType, Any]" = {
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",  # measured in the widest of the usual fonts, so that no page's font is clipped
@@ -60,6 +61,8 @@ class Cell:
     """CSS colour."""
     title: str
     """Tooltip; may be empty."""
+    outlined: bool = False
+    """Whether a dashed line runs around it, and around its outlined neighbours in the row."""
 
 
 @contextmanager
@@ -102,6 +105,7 @@ def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequenc
     text = _unique_ids(text, name)
     if cells is not None:
         drawn = "\n".join(_rectangle(cells[0], cell, figure.bbox.height) for cell in cells[1])
+        drawn += "".join(_outline(cells[0], run, figure.bbox.height) for run in _runs(cells[1]))
         text = text.replace(f'<g id="{_CELLS}"/>', f'<g shape-rendering="crispEdges">\n{drawn}\n</g>')
     view = f"0 0 {figure.bbox.width:g} {figure.bbox.height:g}"
     opening = f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="{view}" '
@@ -115,13 +119,38 @@ def hex_colour(rgb: Iterable[float]) -> str:
 
 
 def _rectangle(axes: "Axes", cell: Cell, height: float) -> str:
-    """The cell as `<rect>`; SVG's y axis points down."""
+    """The cell as `<rect>`."""
+    # a hair wider than it is, or the page shows through between two cells
+    title = f"<title>{escape(cell.title)}</title>" if cell.title else ""
+    return f'<rect {_place(axes, cell, height, 0.25)} fill="{cell.fill}">{title}</rect>'
+
+
+def _runs(cells: Sequence[Cell]) -> list[Cell]:
+    """The outlined cells, those that touch each other in a row made one."""
+    runs: list[Cell] = []
+    for cell in sorted((c for c in cells if c.outlined), key=lambda c: (c.bottom, c.left)):
+        if runs and runs[-1].bottom == cell.bottom and abs(runs[-1].right - cell.left) < _TOUCHING:
+            runs[-1] = replace(runs[-1], right=cell.right)
+        else:
+            runs.append(cell)
+    return runs
+
+
+def _outline(axes: "Axes", cell: Cell, height: float) -> str:
+    """A line just inside the cell, black dashes on white, so that it is seen on cells of any colour."""
+    place = _place(axes, cell, height, 0.0, inset=0.5)
+    return "".join(
+        f'\n<rect {place} fill="none" pointer-events="none" stroke="{colour}" stroke-width="1"{dashes}/>'
+        for colour, dashes in (("#fff", ""), ("#000", ' stroke-dasharray="2 2"'))
+    )
+
+
+def _place(axes: "Axes", cell: Cell, height: float, wider: float, inset: float = 0.0) -> str:
+    """Attributes of a `<rect>` that tell where a cell is; SVG's y axis points down."""
     x0, y0 = axes.transData.transform((cell.left, cell.bottom))
     x1, y1 = axes.transData.transform((cell.right, cell.top))
-    # a hair wider than it is, or the page shows through between two cells
-    place = f'x="{x0:.2f}" y="{height - y1:.2f}" width="{x1 - x0 + 0.25:.2f}" height="{y1 - y0:.2f}"'
-    title = f"<title>{escape(cell.title)}</title>" if cell.title else ""
-    return f'<rect {place} fill="{cell.fill}">{title}</rect>'
+    width, tall = max(x1 - x0 - 2 * inset, 0.1) + wider, max(y1 - y0 - 2 * inset, 0.1)
+    return f'x="{x0 + inset:.2f}" y="{height - y1 + inset:.2f}" width="{width:.2f}" height="{tall:.2f}"'
 
 
 def _unique_ids(text: str, name: str) -> str:

@@ -4,21 +4,18 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 """
 
 import asyncio
-import contextlib
 import logging
-import signal
 import sys
-import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 
 from analysis.errors import AnalysisError
-from analysis.fit_json import strict_json
+from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, emit, existing
 from api.demo import demo as run_demo
 from api.derive import Export, slug
 from api.display import duration, progress_display
@@ -27,10 +24,11 @@ from api.preview import preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, find_dataset, run
 from api.settings import load_instrument
+from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
-from goniometer.errors import GoniometerError, InputError, RunAborted
-from goniometer.records import Command, Scan
+from goniometer.errors import GoniometerError
+from goniometer.records import Command
 from goniometer.store import Store
 
 app = typer.Typer(
@@ -38,77 +36,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-screen = Console(stderr=True)
 
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (YAML or JSON).", show_default=False)]
-DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
-DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for fits, rendering files and reports.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name of its own
-Result = TypeVar("Result")
-DATABASE = Path("goniometer.db")
 OUTPUT = Path("results")
-
-
-def emit(content: dict[str, Any]) -> None:
-    """Print one JSON object on stdout, strict as the files are."""
-    sys.stdout.write(strict_json(content))
-
-
-async def ask_to_mount(scan: Scan) -> None:
-    """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
-    what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
-    if sys.stdin is None or not sys.stdin.isatty():
-        raise RunAborted(f"Nobody can confirm that {what} is mounted, as there is no terminal; run this from one.")
-    _forget_typed_ahead()
-    request = f"Mount {what}, check that it lies flat against the holder, and press Enter."
-    screen.print(request, markup=False, highlight=False)
-    loop = asyncio.get_running_loop()
-    answer: asyncio.Future[str] = loop.create_future()
-
-    def deliver(line: str) -> None:
-        if not answer.done():
-            answer.set_result(line)
-
-    def read() -> None:
-        line = ""
-        with contextlib.suppress(OSError):  # a terminal that has gone says nothing any more
-            line = sys.stdin.readline()
-        with contextlib.suppress(RuntimeError):  # the run that asked is over and its loop closed
-            loop.call_soon_threadsafe(deliver, line)
-
-    # A daemon, because nothing can end a thread that waits for a key, and an abort must not wait for it.
-    threading.Thread(target=read, daemon=True).start()
-    if not await answer:
-        raise RunAborted(f"Nobody can confirm that {what} is mounted, as the terminal was closed; run this again.")
-
-
-def _forget_typed_ahead() -> None:
-    """Throw away keys that were pressed before the question was asked: they are no answer to it."""
-    if sys.platform == "win32":
-        import msvcrt  # noqa: PLC0415  (exists on Windows only)
-
-        while msvcrt.kbhit():
-            msvcrt.getch()
-    else:
-        import termios  # noqa: PLC0415  (exists elsewhere only)
-
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
-
-
-def _wait(work: Coroutine[Any, Any, Result]) -> Result:
-    """Do `work`; the signals that end a process end it properly, with the bench made safe."""
-
-    async def guarded() -> Result:
-        task = asyncio.current_task()
-        assert task is not None  # this is one
-        for name in ("SIGTERM", "SIGHUP"):
-            with contextlib.suppress(AttributeError, NotImplementedError):  # Windows has no such signals
-                asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)
-        return await work
-
-    return asyncio.run(guarded())
 
 
 @app.command()
@@ -119,7 +51,7 @@ def demo(
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
     with progress_display(screen) as (show, note):
-        result = _wait(run_demo(output, seed, Watch(show, note, ask_to_mount)))
+        result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount)))
     if as_json:
         emit(asdict(result) | {"uncertainties": STATED})
         _fail_for(result.failures)
@@ -147,7 +79,7 @@ def run_command(
     store = Store.open(database)
     with progress_display(screen) as (show, note):
         folder = output / slug(wanted.name)
-        result = _wait(run(store, wanted, folder, settings, Watch(show, note, ask_to_mount)))
+        result = wait(run(store, wanted, folder, settings, Watch(show, note, ask_to_mount)))
     samples = outcomes(store, result.campaign_id, truth=settings is None)
     if as_json:
         emit(
@@ -177,7 +109,7 @@ def doctor(
     """Check every device: open it, read it, turn it a degree, and say in one line each what is wrong."""
     if instrument:
         screen.print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
-    findings = _wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
+    findings = wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
     fit = not any(finding.problems for finding in findings)
     if as_json:
         emit({"fit": fit, "findings": [asdict(finding) for finding in findings]})
@@ -218,7 +150,7 @@ def plan(campaign: CampaignFile, as_json: AsJson = False) -> None:
 @app.command()
 def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """What is in the database, and what is running."""
-    store = _existing(database)
+    store = existing(database)
     found = [asdict(scan) for scan in store.scans()]
     running = store.in_use()
     for entry in found:
@@ -240,7 +172,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:
     def command(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
-        store = _existing(database)
+        store = existing(database)
         scan = active_scan(store)
         store.request(scan.id, verb)
         if as_json:
@@ -265,7 +197,7 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Fit a dataset again and store the fits beside the earlier ones."""
-    store = _existing(database)
+    store = existing(database)
     found = fit_dataset(store, find_dataset(store, dataset), model)
     if as_json:
         emit(found)
@@ -284,7 +216,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset's fits, or its fitted model for a renderer, to a file."""
-    store = _existing(database)
+    store = existing(database)
     _tell_export(export_dataset(store, find_dataset(store, dataset), to, path), as_json=as_json)
 
 
@@ -296,7 +228,7 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
-    store = _existing(database)
+    store = existing(database)
     _tell_export(report_dataset(store, find_dataset(store, dataset), path), as_json=as_json)
 
 
@@ -305,13 +237,6 @@ def _tell_export(written: Export, *, as_json: bool) -> None:
         emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256})
     else:
         Console().print(f"Wrote {written.path}", markup=False, highlight=False)
-
-
-def _existing(database: Path) -> Store:
-    """The database, which must be there: a command that only reads makes no empty one."""
-    if "://" not in str(database) and not database.exists():
-        raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
-    return Store.open(database)
 
 
 class _Warnings(logging.Handler):

@@ -5,7 +5,7 @@ can be compared number by number.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,13 @@ from rich.table import Table
 
 from analysis.notation import roughly, with_uncertainty
 from analysis.results import ColourDifferences
-from goniometer.dataset import NOT_COVERED
+from goniometer.dataset import MEANING, Dataset
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.store import Store
 from simulators.materials import SAMPLES, material
 
-STATED = f"standard uncertainties, k = 1; {NOT_COVERED}"
+STATED = "standard uncertainties, k = 1"
 """What a stated uncertainty is, to be said beside every table and JSON object."""
 
 
@@ -44,6 +44,14 @@ class SampleOutcome:
     bench_seconds: float
     """Time that the points took on the bench."""
     dataset_id: int | None
+    checks: list[dict[str, Any]]
+    """What the dataset's sanity checks found: name, passed (null where the data do not tell), message."""
+    flagged_points: dict[str, int]
+    """Flag in words -> how many points carry it."""
+    left_out_points: int
+    """Measured points that the fits leave out because of a flag."""
+    certificate_override: str
+    """Who used an expired or missing certificate of the reference and why; empty where nobody had to."""
     dE00: dict[str, dict[str, dict[str, float]]]  # noqa: N815  (the field's own spelling)
     """Model -> "absolute" or "chromatic" -> mean, median, p95, max."""
     parameters: dict[str, list[dict[str, Any]]]
@@ -69,7 +77,9 @@ def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOu
     dataset_id = max(datasets, default=None)
     analysis: dict[str, Any] = {}
     files: list[str] = []
+    dataset: Dataset | None = None
     if dataset_id is not None:
+        dataset = store.dataset(dataset_id)
         texts = {fit.kind: fit.text for fit in store.fits(dataset_id)}
         analysis = json.loads(texts.get("analysis", "{}"))
         files = list(dict.fromkeys(export.text for export in store.exports(dataset_id)))
@@ -88,6 +98,10 @@ def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOu
         uniform_1_degree_points=uniform,
         bench_seconds=sum(point.seconds for point in points),
         dataset_id=dataset_id,
+        checks=[] if dataset is None else [asdict(check) for check in dataset.checks],
+        flagged_points={} if dataset is None else _flagged_points(dataset),
+        left_out_points=0 if dataset is None else int(np.sum(~dataset.usable)),
+        certificate_override="" if dataset is None else str(dataset.lineage.get("certificate_override") or ""),
         dE00=differences,
         parameters={
             name: [p | _true_value(scan.material, p["name"], name, known=truth) for p in model["parameters"]]
@@ -97,6 +111,12 @@ def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOu
         reasons={name: model["verdict"]["reasons"] for name, model in models.items()},
         files=files,
     )
+
+
+def _flagged_points(dataset: Dataset) -> dict[str, int]:
+    """How many points carry each flag that occurs."""
+    counts = {words: int(dataset.flagged(flag).sum()) for flag, words in MEANING.items()}
+    return {words: count for words, count in counts.items() if count}
 
 
 def _local_differences(local: dict[str, Any]) -> dict[str, dict[str, float]]:
@@ -158,6 +178,13 @@ def remarks(samples: list[SampleOutcome]) -> list[str]:
         if not sample.trusted.get("cook-torrance-shift", True):
             why = " ".join(sample.reasons["cook-torrance-shift"])
             lines.append(f"{sample.sample}: the fit cannot be trusted. {why}")
+        if sample.certificate_override:
+            lines.append(f"{sample.sample}: {sample.certificate_override}")
+        for check in sample.checks:
+            if check["passed"] is False:
+                lines.append(f"{sample.sample}: the check of {check['name']} failed. {check['message']}")
+        if sample.left_out_points:
+            lines.append(f"{sample.sample}: {sample.left_out_points} flagged points take no part in the fits.")
         if sample.failed_points:
             lines.append(f"{sample.sample}: {sample.failed_points} points failed and are absent from every result.")
     lines += [f"{sample.sample}: {_folder(sample)}" for sample in samples if sample.files]

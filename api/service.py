@@ -23,9 +23,11 @@ from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
 from goniometer.calibration import calibrate_scan, certificate_of, check_certificate
 from goniometer.campaign import Campaign
+from goniometer.certificate import Override
+from goniometer.certificate_file import certificate_csv, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
-from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, NotInStore, StoreFull
+from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, CertificateError, NotInStore, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.plan import plan_spec, uniform_grid_size
@@ -33,8 +35,9 @@ from goniometer.records import Scan
 from goniometer.safety import Forbidden, check_plan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
+from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
-from simulators.materials import material
+from simulators.materials import PANEL_CERTIFICATE, material
 
 ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
 """Phases of a scan that some process is running, or was when it was killed."""
@@ -88,9 +91,7 @@ def simulated_settings(laboratory: Laboratory) -> InstrumentSettings:
         {"driver": family, "url": url} | ({"counts_per_degree": COUNTS_PER_DEGREE} if family == "owis" else {})
         for family, url in zip(laboratory.families, urls, strict=True)
     )
-    return InstrumentSettings.model_validate(
-        {"stages": {"sample": sample, "detector": detector}, "spectrometer": {"gain": laboratory.gain}}
-    )
+    return InstrumentSettings.model_validate({"stages": {"sample": sample, "detector": detector}})
 
 
 @dataclass(frozen=True)
@@ -109,25 +110,34 @@ class _Site:
 
 
 @contextmanager
-def _site(settings: InstrumentSettings | None, seed: int, families: tuple[str, str]) -> Iterator[_Site]:
+def _site(
+    settings: InstrumentSettings | None,
+    seed: int,
+    families: tuple[str, str],
+    imperfections: Imperfections | None = None,
+) -> Iterator[_Site]:
     if settings is not None:
         yield _Site(settings, make_bench(settings, WallClock(), None), None)
         return
-    with simulated_laboratory(seed, families) as laboratory:
+    with simulated_laboratory(seed, families, imperfections) as laboratory:
         settings = simulated_settings(laboratory)
         yield _Site(settings, make_bench(settings, laboratory.clock, laboratory.usb_backend), laboratory)
 
 
 @asynccontextmanager
-async def open_bench(
-    settings: InstrumentSettings | None, seed: int, ask: Mount, families: tuple[str, str] = STAGES
-) -> AsyncIterator[tuple[Instrument, Mount]]:
-    """The configured bench, opened, homed and examined, or the simulated one; and how a sample gets onto it.
+async def open_instrument(
+    settings: InstrumentSettings | None,
+    seed: int,
+    families: tuple[str, str] = STAGES,
+    imperfections: Imperfections | None = None,
+) -> AsyncIterator[tuple[Instrument, Laboratory | None]]:
+    """The configured bench, opened, homed and examined, or that of the simulated laboratory, which comes with it.
 
-    The same drivers run both; `families` are those of the simulated stages. Raises `DriverError` where a device does
-    not answer and `BenchUnfit` where the doctor finds a fault.
+    The same drivers run both; `families` are those of the simulated stages, `imperfections` the errors of the simulated
+    bench, drawn from the seed where there are none. Raises `DriverError` where a device does not answer and
+    `BenchUnfit` where the doctor finds a fault.
     """
-    with _site(settings, seed, families) as site:
+    with _site(settings, seed, families, imperfections) as site:
         bench = site.bench
         instrument = Instrument(
             bench.sample_stage,
@@ -135,18 +145,9 @@ async def open_bench(
             bench.spectrometer,
             bench.light,
             bench.clock,
-            gain=site.settings.spectrometer.gain,
-            u_angle=site.settings.geometry.u_angle,
-            aperture=site.settings.geometry.aperture,
+            data=site.settings.bench_data,
             forbidden=bench.forbidden,
         )
-
-        async def mount(scan: Scan) -> None:
-            if site.laboratory is None:
-                await ask(scan)
-            else:
-                site.laboratory.bench.mount(scan.material)
-
         for error in site.unplugged().values():
             raise error
         async with AsyncExitStack() as on_failure:  # a cancellation is one, too
@@ -157,13 +158,33 @@ async def open_bench(
                 raise BenchUnfit(unfit)
             on_failure.pop_all()
         try:
-            yield instrument, mount
+            yield instrument, site.laboratory
         finally:
             # the device may be what failed, and the first cause is what counts
             with suppress(DriverError):
                 await instrument.safe()
             with suppress(DriverError):
                 await instrument.close()
+
+
+@asynccontextmanager
+async def open_bench(
+    settings: InstrumentSettings | None,
+    seed: int,
+    ask: Mount,
+    families: tuple[str, str] = STAGES,
+    imperfections: Imperfections | None = None,
+) -> AsyncIterator[tuple[Instrument, Mount]]:
+    """What `open_instrument` opens, and how the sample of a scan gets onto it."""
+    async with open_instrument(settings, seed, families, imperfections) as (instrument, laboratory):
+
+        async def mount(scan: Scan) -> None:
+            if laboratory is None:
+                await ask(scan)
+            else:
+                laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
+
+        yield instrument, mount
 
 
 async def diagnose(
@@ -194,7 +215,13 @@ async def run(
     Fits run in a process of their own while the next sample is measured; a sample that cannot be calibrated or
     fitted does not stop the others. Raises `StoreBusy` and what `run_campaign` raises.
     """
-    check_certificate(campaign)
+    certificate = panel_certificate(campaign, settings)
+    override = campaign.reference.override
+    check_certificate(
+        certificate,
+        campaign.reference.certificate or "the simulated panel",
+        None if override is None else Override(override.name, override.reason),
+    )
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
@@ -208,17 +235,20 @@ async def run(
         def finished(scan: Scan) -> None:
             try:
                 dataset = calibrate_scan(store, scan.id)
-            except CalibrationError as error:
+            except (CalibrationError, CertificateError) as error:
                 failures.append(f"{scan.sample}: {error}")
                 return
             dataset_id = store.add_dataset(scan.id, dataset)
             waiting[dataset_id] = start_derivation(executor, store, scan, dataset, output)
 
         # a campaign that has begun must not have changed since; a new one is written once the bench answers
-        campaign_id = store.add_campaign(campaign) if campaign.name in store.campaigns().values() else None
+        known = campaign.name in store.campaigns().values()
+        campaign_id = store.add_campaign(campaign, certificate) if known else None
         if campaign_id is None or not _measured(store, campaign_id):
             async with open_bench(settings, campaign.seed, watch.mount) as (instrument, mount):
-                campaign_id = await run_campaign(store, campaign, instrument, mount, watch.report, finished)
+                campaign_id = await run_campaign(
+                    store, campaign, instrument, mount, watch.report, finished, certificate
+                )
         for scan in store.scans(campaign_id):
             missing = _underived_dataset(store, scan, output)
             if missing is not None and missing not in waiting:
@@ -234,6 +264,17 @@ async def run(
             except BrokenProcessPool:
                 failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
     return RunResult(campaign_id, tuple(failures))
+
+
+def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -> str | None:
+    """Text of the certificate that the campaign names, or of that of the simulated panel; None where there is none.
+
+    Raises `CertificateError` where the file cannot be read.
+    """
+    path = campaign.reference.certificate
+    if path is not None:
+        return read_certificate(Path(path))
+    return certificate_csv(PANEL_CERTIFICATE) if settings is None else None
 
 
 def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> None:
@@ -268,7 +309,7 @@ def _check_folders(store: Store, campaign: Campaign) -> None:
 def _measured(store: Store, campaign_id: int) -> bool:
     """Whether nothing of a campaign is left to measure or to calibrate."""
     return all(
-        scan.outcome == "completed" and (scan.kind == "reference" or bool(store.datasets(scan.id)))
+        scan.outcome == "completed" and (scan.kind != "sample" or bool(store.datasets(scan.id)))
         for scan in store.scans(campaign_id)
     )
 

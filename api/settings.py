@@ -8,6 +8,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from urllib.parse import urlsplit
@@ -24,6 +25,7 @@ from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS, ReferenceMode
 from drivers.smc100 import SMC100
 from drivers.stage import Mounting
+from goniometer.constants import BenchData
 from goniometer.errors import ConfigurationError
 from goniometer.safety import Forbidden
 
@@ -38,6 +40,7 @@ Range = Annotated[tuple[float, float], AfterValidator(_ascends)]
 """Lowest and highest angle, degrees."""
 SerialNumber = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Positive = Annotated[float, Field(gt=0)]
+Uncertainty = Annotated[float, Field(ge=0)]
 
 
 class _Strict(BaseModel):
@@ -167,10 +170,18 @@ class StagesSettings(_Strict):
 
 
 class GeometrySettings(_Strict):
-    """What is known of the bench's geometry."""
+    """What is known of the bench's geometry; every u_ is a standard uncertainty."""
 
-    u_angle: float = Field(default=0.005, ge=0, description="standard uncertainty of one stage position, degrees")
-    aperture: float = Field(default=1.0, gt=0, lt=10, description="full angle of the detector aperture, degrees")
+    aperture: float = Field(
+        default=BenchData.aperture, gt=0, lt=10, description="full angle of the detector aperture, degrees"
+    )
+    u_aperture: Uncertainty = Field(default=BenchData.u_aperture, description="of aperture, degrees")
+    field_of_view: Positive = Field(
+        default=BenchData.field_of_view, description="diameter of what the detector sees of the sample, mm"
+    )
+    u_field_of_view: Uncertainty = Field(default=BenchData.u_field_of_view, description="of field_of_view, mm")
+    u_angle: Uncertainty = Field(default=BenchData.u_angle, description="how well one stage position repeats, degrees")
+    u_zero: Uncertainty = Field(default=BenchData.u_zero, description="of the zero of each stage, degrees")
 
 
 class ForbiddenSettings(_Strict):
@@ -189,12 +200,37 @@ class SpectrometerSettings(_Strict):
     """The QE Pro."""
 
     serial_number: SerialNumber | None = Field(default=None, description="None takes the only QE Pro plugged in")
-    gain: Positive = Field(default=5.0, description="electrons per count, for the shot noise")
+    gain: Positive = Field(default=BenchData.gain, description="electrons per count, for the shot noise")
+    u_nonlinearity: Uncertainty = Field(
+        default=BenchData.u_nonlinearity, description="relative, at full scale: what the device's polynomial leaves"
+    )
+    wavelength_offset: float = Field(
+        default=BenchData.wavelength_offset, description="added to the wavelengths that the device tells, nm"
+    )
+    u_wavelength: Uncertainty = Field(default=BenchData.u_wavelength, description="of the wavelength scale, nm")
     cooler_set_point: float = Field(default=-10.0, ge=-40, le=30, description="degrees Celsius")
     temperature_tolerance: Positive = Field(
         default=0.5, description="by which the detector may be off, degrees Celsius"
     )
     timeout: Positive = Field(default=2.0, description="longest wait for a reply beyond the integration time, seconds")
+
+
+class LightSettings(_Strict):
+    """What is known of lamp and stray light; every u_ is a standard uncertainty."""
+
+    u_lamp: Uncertainty = Field(
+        default=BenchData.u_lamp, description="relative drift over a scan, where no monitor exposures tell"
+    )
+    u_stray_light: Uncertainty = Field(
+        default=BenchData.u_stray_light, description="BRDF times cos(theta_in), where none was measured, 1/sr"
+    )
+
+
+_TABLES: dict[str, type[_Strict]] = {
+    "spectrometer": SpectrometerSettings,
+    "geometry": GeometrySettings,
+    "light": LightSettings,
+}
 
 
 class InstrumentSettings(_Strict):
@@ -203,7 +239,14 @@ class InstrumentSettings(_Strict):
     stages: StagesSettings
     spectrometer: SpectrometerSettings = SpectrometerSettings()
     geometry: GeometrySettings = GeometrySettings()
+    light: LightSettings = LightSettings()
     forbidden: tuple[ForbiddenSettings, ...] = ()
+
+    @property
+    def bench_data(self) -> BenchData:
+        """What calibration needs to know of the bench beyond what the devices say."""
+        known = self.geometry.model_dump() | self.spectrometer.model_dump() | self.light.model_dump()
+        return BenchData(**{each.name: known[each.name] for each in fields(BenchData)})
 
 
 def load_instrument(path: Path) -> InstrumentSettings:
@@ -356,10 +399,8 @@ def _model_at(parts: list[Any]) -> type[BaseModel]:
             return FAMILIES[family]
         case ["stages", _, *_]:
             return StagesSettings
-        case ["spectrometer", _, *_]:
-            return SpectrometerSettings
-        case ["geometry", _, *_]:
-            return GeometrySettings
+        case [("spectrometer" | "geometry" | "light") as table, _, *_]:
+            return _TABLES[table]
         case ["forbidden", _, _, *_]:
             return ForbiddenSettings
         case _:

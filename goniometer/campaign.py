@@ -1,7 +1,7 @@
 """What is to be measured: a campaign file (YAML or JSON) as checked, frozen data.
 
-A quantity is a number in the documented unit or a text with a unit: `10`, `"10 deg"`, `"0.17 rad"` for an
-angle, `30`, `"30 s"`, `"8 ms"`, `"500 us"` for a time. The smallest campaign that runs:
+A quantity is a number in the documented unit or a text with a unit, see `goniometer.quantities`. The smallest campaign
+that runs:
 
     name: First light
     samples:
@@ -11,18 +11,16 @@ angle, `30`, `"30 s"`, `"8 ms"`, `"500 us"` for a time. The smallest campaign th
 import difflib
 import hashlib
 import json
-import math
-import re
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, get_args
 
 import yaml
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
+    StringConstraints,
     Tag,
     ValidationError,
     ValidationInfo,
@@ -33,39 +31,10 @@ from pydantic_core import ErrorDetails
 
 from goniometer.errors import CampaignError
 from goniometer.geometry import LARGEST_ANGLE, Geometry
+from goniometer.quantities import Angle, Duration, Length
 
-ANGLE_UNITS = {"deg": 1.0, "°": 1.0, "rad": 180 / math.pi, "mrad": 0.18 / math.pi}
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}
-
-
-def _quantity(value: object, units: dict[str, float], kind: str) -> object:
-    """`value` in the first of `units`; numbers pass unchanged, text needs one of the units."""
-    known = ", ".join(units)
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise ValueError(f"{value!r} is not {kind}: give a number or a number with a unit ({known})")
-    if not isinstance(value, str):
-        return value
-    match = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*", value)
-    if match is None:
-        raise ValueError(f'"{value}" is not {kind}: give a number or a number with a unit ({known})')
-    number, unit = match.groups()
-    if unit and unit not in units:
-        raise ValueError(f'"{value}" has the unit "{unit}", but {kind} takes one of {known}')
-    return float(number) * units.get(unit, 1.0)
-
-
-def _angle(value: object) -> object:
-    return _quantity(value, ANGLE_UNITS, "an angle")
-
-
-def _time(value: object) -> object:
-    return _quantity(value, TIME_UNITS, "a time")
-
-
-Angle = Annotated[float, BeforeValidator(_angle), Field(allow_inf_nan=False)]
-"""Degrees."""
-Duration = Annotated[float, BeforeValidator(_time), Field(allow_inf_nan=False)]
-"""Seconds."""
+Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
+"""Text that says something."""
 
 SMALLEST_STEP = 0.05
 """Degrees below which directions cannot be told apart, and a campaign would have no end."""
@@ -82,6 +51,7 @@ class Sample(_Model):
     material: str = Field(
         min_length=1, description='What lies on the bench, e.g. "sample-1"; only a simulated bench reads it.'
     )
+    diameter: Length = Field(default=50.0, gt=0, description="Of the round sample, mm.")
     description: str = Field(default="", description="What it is, in words.")
     preparation: str = Field(default="", description="How its surface was made, in words.")
 
@@ -169,13 +139,55 @@ class Integration(_Model):
     minimum: Duration = Field(default=0.008, gt=0, description="Shortest integration time, seconds.")
     maximum: Duration = Field(default=30.0, gt=0, description="Longest integration time, seconds.")
     fill: float = Field(default=0.7, gt=0, le=0.95, description="Wanted brightest pixel, as a part of saturation.")
-    scans: int = Field(default=1, ge=1, le=1000, description="Spectra that are averaged at each point of a sample.")
+    scans: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="Spectra that are averaged at each point of a sample; without a signal_to_noise.",
+    )
+    signal_to_noise: float | None = Field(
+        default=None,
+        gt=0,
+        allow_inf_nan=False,
+        description="Wanted at each point of a sample in the median bin of 6 pixels between 380 and 995 nm; none: "
+        "`scans` spectra of the longest fitting time.",
+    )
+    time_limit: Duration = Field(
+        default=120.0, gt=0, description="Integration that a point may take to reach signal_to_noise, seconds."
+    )
+    exposures: int = Field(
+        default=1,
+        ge=1,
+        le=3,
+        description="Most integration times that are combined at a point: longer ones for what is dim in its spectrum.",
+    )
 
     @model_validator(mode="after")
     def _ascends(self) -> Self:
         if self.minimum > self.maximum:
             raise ValueError(f"minimum ({self.minimum:g} s) must not exceed maximum ({self.maximum:g} s)")
+        if self.minimum > self.time_limit:
+            raise ValueError(f"minimum ({self.minimum:g} s) must not exceed time_limit ({self.time_limit:g} s)")
         return self
+
+
+class Monitor(_Model):
+    """How often one direction is looked at again, to see the lamp drift."""
+
+    every: Duration = Field(default=600.0, gt=0, description="Time from one monitor exposure to the next, seconds.")
+
+
+class Homogeneity(_Model):
+    """How a sample is measured again at another place, or turned by 90 degrees about its normal."""
+
+    points: int = Field(default=5, ge=1, le=50, description="Directions that are measured again.")
+
+
+class Override(_Model):
+    """Who takes the responsibility for a certificate that is missing or not valid, and why."""
+
+    name: Words = Field(description="Name of that person.")
+    reason: Words = Field(description="Why, in words.")
 
 
 class Reference(_Model):
@@ -185,6 +197,10 @@ class Reference(_Model):
         default=None,
         description="CSV file of the panel's certificate, relative to the campaign file; none: nominal values.",
     )
+    override: Override | None = Field(
+        default=None, description="Calibrate although the certificate is missing or not valid: name and reason."
+    )
+    diameter: Length = Field(default=50.0, gt=0, description="Of the round panel, mm.")
     step: Angle = Field(
         default=10.0, ge=SMALLEST_STEP, le=45, description="Distance of its reflected directions, degrees."
     )
@@ -207,6 +223,15 @@ class Campaign(_Model):
     resolution: Resolution = Field(default=Resolution(), description="How finely reflected directions are sampled.")
     integration: Integration = Field(default=Integration(), description="How integration times are chosen.")
     reference: Reference = Field(default=Reference(), description="How the reference panel is measured.")
+    stray_light: bool = Field(
+        default=True, description="Whether stray light is measured, once per incident angle of every scan."
+    )
+    monitor: Monitor | None = Field(
+        default=Monitor(), description="How often the lamp is looked at in every scan; null: never."
+    )
+    homogeneity: Homogeneity | None = Field(
+        default=None, description="Whether every sample is measured again at another place; null: not."
+    )
 
     @field_validator("samples")
     @classmethod
@@ -260,10 +285,11 @@ class Campaign(_Model):
     def hash(self) -> str:
         """SHA-256 of all that decides what is measured, so that nobody resumes under a changed campaign.
 
-        The path of the certificate is left out: the database keeps, and compares, what stands in the file.
+        The path of the certificate is left out: the database keeps, and compares, what stands in the file. So is who
+        overrides what it says: that may be decided when everything is measured.
         """
         content = self.model_dump(mode="json")
-        del content["reference"]["certificate"]
+        del content["reference"]["certificate"], content["reference"]["override"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

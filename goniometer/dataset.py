@@ -74,6 +74,8 @@ class Dataset:
     """[points] what is doubtful about a point, a sum of `Flag`."""
     u_angle: float
     """Standard uncertainty of one stage position, degrees; independent between moves of a stage."""
+    u_zero: float
+    """Standard uncertainty of the zero of each stage, degrees; the same error for all points."""
     aperture: float
     """Full angle of the detector aperture over which `brdf` is an average, degrees; 0 where that was corrected."""
     checks: tuple[Check, ...] = ()

@@ -12,6 +12,7 @@ GoniometerError
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ReferenceIncomplete   points of the reference scan that failed
 ├── CalibrationError      raw data that cannot be calibrated
+├── CharacterisationError what was to be measured of the bench itself does not show
 ├── BenchUnfit            a device that the doctor would fail
 └── RunAborted            the operator ended the run
 
@@ -74,6 +75,10 @@ class ReferenceIncomplete(GoniometerError):
 
 class CalibrationError(GoniometerError):
     """Raw data that cannot be calibrated."""
+
+
+class CharacterisationError(GoniometerError):
+    """What was to be measured of the bench itself does not show in what was read."""
 
 
 class BenchUnfit(GoniometerError):

@@ -1,18 +1,41 @@
-"""Which integration time a point gets, and how its spectra are taken.
+"""Which integration times a point gets, and how its spectra are taken.
 
 Times come from a short ladder, so that a handful of dark spectra serves a whole scan. The choice depends on
 stored exposures and on what the detector sees now, never on what a process remembers: a resumed scan chooses
 as an uninterrupted one would have.
+
+Without a wanted signal-to-noise ratio a point gets `scans` spectra of the longest time that keeps its brightest pixel
+below `fill` of saturation. With one it gets the integration time and the number of spectra that reach the ratio in the
+least time. The ratio is that of the median bin: pixels are binned as calibration does by default, six by six between
+380 and 995 nm, and half of the bins do at least as well. Its noise is the random one of the point's own spectra,
+
+    u^2 = (signal / gain + 6 read variance) / number of spectra,   in counts of one spectrum,
+
+shot noise and the read-out noise that the repeated darks show, dark current included.
+
+Where `exposures` allows it, a point also gets longer times, at which bright pixels saturate and dim ones fill.
 """
 
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from math import ceil, inf, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import CountArray, FloatArray
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Integration
+from goniometer.constants import Constants
 from goniometer.errors import CampaignError
 from goniometer.instrument import Instrument
+from goniometer.response import STANDARD
+
+BIN = STANDARD.bin_size
+"""Pixels of one bin."""
+
+DIM = 0.1
+"""The dim bins of a spectrum: this part of them is dimmer still."""
 
 PROBE_FRACTION = 1 / 256
 """A probe lasts about this part of the longest integration time."""
@@ -29,15 +52,75 @@ ALIKE = 2.0
 DARK_LEVEL = 2000.0
 """Counts set aside for offset and dark current when a time is chosen; `fill` leaves room for more."""
 
+NEARLY = 1.1
+"""Of two integration times whose costs differ by less than this factor the longer one is taken: fewer read-outs."""
+
+MOST_SPECTRA = 1000
+"""More are never averaged at one integration time."""
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Detector:
+    """What exposure control must know of the detector."""
+
+    saturation: int
+    """Counts at and above which a pixel is saturated."""
+    gain: float
+    """Electrons per count."""
+    bins: NDArray[np.intp]
+    """[bins, BIN] the pixels of each bin."""
+
+
+@dataclass(frozen=True)
+class DarkSignal:
+    """What the detector reads without light at one integration time."""
+
+    mean: FloatArray
+    """[pixels] counts."""
+    read_variance: float
+    """Variance of one read-out of one pixel, counts squared."""
+    temperature: float
+    """Of the detector, degrees Celsius."""
+
 
 @dataclass(frozen=True)
 class Brightness:
-    """What an earlier point of the same incident angle saw."""
+    """What a direction looked like in its shortest exposure; rates are dark-subtracted counts per second."""
 
-    theta_out: float
-    """Degrees."""
-    rate: float
-    """Dark-subtracted counts per second in the brightest pixel; infinite when it was saturated."""
+    brightest: float
+    """Of the brightest pixel; infinite when it was saturated."""
+    median: float
+    """Of the median bin."""
+    dim: float
+    """Of the bin at the quantile `DIM`."""
+    read_variance: float
+    """Variance of one read-out of one pixel at its integration time, counts squared."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """The spectra of one point."""
+
+    spectra: list[Spectrum]
+    """Grouped by integration time, the shortest first."""
+    moment: float
+    """Mean time of the exposures, seconds on the clock of the bench."""
+    brightness: Brightness
+    reason: str
+    """What is less than was wanted, as a sentence; empty otherwise."""
+
+
+DarkOf = Callable[[float, float], Awaitable[DarkSignal]]
+"""Dark signal of an integration time, s, at a detector temperature, degrees Celsius."""
+
+
+def detector_of(constants: Constants) -> Detector:
+    """The detector of a scan; pixels that do not fill the last bin are left out."""
+    wavelengths = constants.wavelengths
+    used = np.flatnonzero((wavelengths >= STANDARD.lowest) & (wavelengths <= STANDARD.highest))
+    return Detector(constants.saturation, constants.bench.gain, used[: len(used) // BIN * BIN].reshape(-1, BIN))
 
 
 def ladder(policy: Integration) -> tuple[float, ...]:
@@ -58,70 +141,189 @@ def check_limits(policy: Integration, instrument: Instrument) -> None:
         )
 
 
-def choose(rate: float, saturation: int, policy: Integration) -> float:
-    """Longest time of the ladder that keeps the brightest pixel, `rate` counts per second, below the wanted fill."""
-    times = ladder(policy)
-    room = policy.fill * saturation - DARK_LEVEL
-    fitting = [time for time in times if time * rate <= room]
-    return max(fitting, default=times[0])
+def brightness(counts: CountArray, integration_time: float, dark: DarkSignal, detector: Detector) -> Brightness:
+    """What the mean of `counts` [scans, pixels] of one integration time, s, shows."""
+    above = counts.mean(axis=0) - dark.mean
+    bins = above[detector.bins].sum(axis=1) / integration_time
+    saturated = counts.max() >= detector.saturation
+    return Brightness(
+        inf if saturated else float(above.max() / integration_time),
+        float(np.median(bins)),
+        float(np.quantile(bins, DIM)),
+        dark.read_variance,
+    )
 
 
-def predict(theta_out: float, seen: Sequence[Brightness]) -> float | None:
-    """Brightness expected at `theta_out`, counts per second; None where the neighbours do not tell.
+def predict(theta_out: float, seen: Sequence[tuple[float, Brightness]]) -> Brightness | None:
+    """Brightness expected at `theta_out`, degrees; None where the neighbours do not tell.
 
-    Told by the nearest point on either side when they are alike; the brighter one is taken, to be safe.
+    `seen` is theta_out and brightness of earlier points of the same incident angle. The nearest point on either side
+    tells when they are alike; the brighter one is taken, to be safe.
     """
-    below = [b for b in seen if b.theta_out < theta_out]
-    above = [b for b in seen if b.theta_out > theta_out]
+    below = [s for s in seen if s[0] < theta_out]
+    above = [s for s in seen if s[0] > theta_out]
     if not below or not above:
         return None
-    pair = max(below, key=lambda b: b.theta_out).rate, min(above, key=lambda b: b.theta_out).rate
+    pair = max(below, key=lambda s: s[0])[1], min(above, key=lambda s: s[0])[1]
+    dimmer, brighter = sorted(pair, key=lambda b: b.brightest)
     # Below one count per second everything is equally dark.
-    return max(pair) if max(pair) < ALIKE * max(min(pair), 1.0) else None
+    return brighter if brighter.brightest < ALIKE * max(dimmer.brightest, 1.0) else None
 
 
-def brightest(counts: CountArray, integration_time: float, dark: FloatArray, saturation: int) -> float:
-    """Counts per second in the brightest pixel of the mean of `counts` [scans, pixels]; infinite when saturated.
+def signal_to_noise(rate: float, time: float, scans: int, read_variance: float, gain: float) -> float:
+    """Ratio that `scans` spectra of `time` seconds reach in a bin of `rate` counts per second; 0 in the dark."""
+    signal = rate * time
+    return signal * sqrt(scans / (signal / gain + BIN * read_variance)) if signal > 0 else 0.0
 
-    `dark` [pixels] is the mean dark signal of the same integration time, counts.
+
+def averages(rate: float, time: float, read_variance: float, gain: float, wanted: float) -> float:
+    """Least number of spectra of `time` seconds that reach the `wanted` ratio in a bin; infinite in the dark."""
+    once = signal_to_noise(rate, time, 1, read_variance, gain)
+    return max(ceil((wanted / once) ** 2 - _ROUNDING), 1) if once > 0 else inf
+
+
+def most(time: float, policy: Integration) -> int:
+    """How many spectra of `time` seconds a point may have, at least one."""
+    return min(max(int(policy.time_limit / time + _ROUNDING), 1), MOST_SPECTRA)
+
+
+def choose(seen: Brightness, policy: Integration, detector: Detector, ceiling: float = inf) -> tuple[float, int]:
+    """Integration time, s, and number of spectra for a direction that looks like `seen`.
+
+    The brightest pixel stays below the wanted fill; times from `ceiling` on are known to saturate. Where the wanted
+    signal-to-noise ratio cannot be reached in the allowed time, what comes nearest.
     """
-    if counts.max() >= saturation:
-        return float("inf")
-    return float((counts.mean(axis=0) - dark).max() / integration_time)
+    room = policy.fill * detector.saturation - DARK_LEVEL
+    times = ladder(policy)
+    fitting = [t for t in times if t * seen.brightest <= room and t < ceiling] or [times[0]]
+    wanted = policy.signal_to_noise
+    if wanted is None:
+        return fitting[-1], policy.scans
+    affordable = [t for t in fitting if t <= policy.time_limit] or fitting[:1]
+    needed = {t: averages(seen.median, t, seen.read_variance, detector.gain, wanted) for t in affordable}
+    enough = {t: n for t, n in needed.items() if n <= most(t, policy)}
+    if enough:
+        least = min(n * t for t, n in enough.items())
+        time = max(t for t, n in enough.items() if n * t <= NEARLY * least)
+        return time, int(enough[time])
+
+    def reached(t: float) -> float:
+        return signal_to_noise(seen.median, t, most(t, policy), seen.read_variance, detector.gain)
+
+    time = max(affordable, key=lambda t: (reached(t), t))
+    return time, most(time, policy)
+
+
+def _correct(
+    time: float, probing: bool, seen: Brightness, policy: Integration, detector: Detector, ceiling: float
+) -> float:
+    """Integration time to go on with, after the first spectrum of `time` seconds has shown `seen`."""
+    better, scans = choose(seen, policy, detector, ceiling)
+    too_dark = probing or better >= TOO_DARK * time
+    if policy.signal_to_noise is None:
+        return better if too_dark else time
+    here = averages(seen.median, time, seen.read_variance, detector.gain, policy.signal_to_noise)
+    if here <= most(time, policy):
+        return better if (here - 1) * time > scans * better else time  # the first spectrum is paid for
+    enough = averages(seen.median, better, seen.read_variance, detector.gain, policy.signal_to_noise) <= scans
+    return better if too_dark or enough else time
+
+
+def longer(seen: Brightness, time: float, scans: int, policy: Integration, detector: Detector) -> list[float]:
+    """Further integration times, s, ascending, for the dim bins of a point that has `scans` spectra of `time` seconds.
+
+    As long as the dim bins do not saturate and, where a signal-to-noise ratio is wanted, no longer than they need to
+    reach it in one spectrum; the middle one of three times lies halfway on the ladder.
+    """
+    wanted, gain = policy.signal_to_noise, detector.gain
+    left = inf if wanted is None else policy.time_limit - scans * time
+    room = policy.fill * detector.saturation - DARK_LEVEL
+    allowed = [t for t in ladder(policy) if t > time and t <= left and t * seen.dim / BIN <= room]
+    if policy.exposures == 1 or not allowed:
+        return []
+    last = allowed[-1]
+    if wanted is not None:
+        if signal_to_noise(seen.dim, time, scans, seen.read_variance, gain) >= wanted:
+            return []
+        reaching = (t for t in allowed if signal_to_noise(seen.dim, t, 1, seen.read_variance, gain) >= wanted)
+        last = next(reaching, last)
+    between = [t for t in allowed if t < last and t + last <= left] if policy.exposures > 2 else []
+    halfway = log(time * last) / 2
+    return [*sorted(between, key=lambda t: abs(log(t) - halfway))[:1], last]
 
 
 async def take(
-    instrument: Instrument,
-    policy: Integration,
-    scans: int,
-    predicted: float | None,
-    dark: Callable[[float], Awaitable[FloatArray]],
-) -> list[Spectrum]:
-    """`scans` valid spectra of where the instrument stands, all of one integration time.
+    instrument: Instrument, detector: Detector, policy: Integration, predicted: Brightness | None, dark: DarkOf
+) -> Taken:
+    """Valid spectra of where the instrument stands.
 
-    `predicted` is the brightness by `predict`; without it a short probe comes first. `dark` gives the mean
-    dark signal [pixels] of an integration time. A spectrum that is saturated or far too dark is taken again
-    at once; one that is saturated at the shortest time is accepted, and calibration flags it.
+    `predicted` is the brightness by `predict`; without it a short probe comes first. A spectrum that is saturated or
+    of a bad integration time is taken again at once; one that is saturated at the shortest time is accepted, and
+    calibration flags it. The time limit is for the spectra that are kept.
     """
     times = ladder(policy)
+    moments: list[tuple[float, float]] = []
+
+    async def expose(time: float, scans: int) -> list[Spectrum]:
+        spectra = await (instrument.sequence(time, scans) if scans > 1 else _one(instrument, time))
+        moments.append((instrument.clock.now() - scans * time / 2, scans * time))
+        return spectra
+
+    async def look(spectra: list[Spectrum]) -> Brightness:
+        temperature = float(np.mean([s.detector_temperature for s in spectra]))
+        time = spectra[0].integration_time
+        return brightness(np.stack([s.counts for s in spectra]), time, await dark(time, temperature), detector)
+
     if predicted is None:
         time = max((t for t in times if t <= policy.maximum * PROBE_FRACTION), default=times[0])
     else:
-        time = choose(predicted, instrument.saturation, policy)
-    probing = predicted is None
-    ceiling = float("inf")
+        time, _ = choose(predicted, policy, detector)
+    probing, ceiling, tried = predicted is None, inf, set[float]()
     while True:
-        spectrum = await instrument.expose(time)
-        if spectrum.counts.max() >= instrument.saturation:
+        moments.clear()  # only what is kept counts
+        spectra = await expose(time, 1)
+        if spectra[0].counts.max() >= detector.saturation:
+            if time == times[0]:
+                break
             ceiling = min(ceiling, time)
-            better = max((t for t in times if t <= time / STEP_DOWN), default=times[0])
+            time = max((t for t in times if t <= time / STEP_DOWN), default=times[0])
         else:
-            rate = brightest(spectrum.counts[None], time, await dark(time), instrument.saturation)
-            wanted = choose(rate, instrument.saturation, policy)
-            wanted = max((t for t in times if t <= wanted and t < ceiling), default=times[0])
-            better = wanted if probing or wanted >= TOO_DARK * time else time
-        if better == time:
-            break
+            tried.add(time)
+            better = _correct(time, probing, await look(spectra), policy, detector, ceiling)
+            if better in tried:
+                break
+            time = better
         probing = False
-        time = better
-    return [spectrum, *(await instrument.sequence(time, scans - 1) if scans > 1 else [])]
+    seen = await look(spectra)
+    while (missing := _missing(seen, time, len(spectra), policy, detector)) > 0:
+        spectra = spectra + await expose(time, missing)
+        seen = await look(spectra)
+    reason = _shortfall(seen, time, len(spectra), policy, detector)
+    for more in longer(seen, time, len(spectra), policy, detector):
+        added = await expose(more, policy.scans if policy.signal_to_noise is None else 1)
+        await look(added)  # a stored spectrum always has its dark
+        spectra = spectra + added
+    light = sum(weight for _, weight in moments)
+    return Taken(spectra, sum(moment * weight for moment, weight in moments) / light, seen, reason)
+
+
+async def _one(instrument: Instrument, time: float) -> list[Spectrum]:
+    return [await instrument.expose(time)]
+
+
+def _missing(seen: Brightness, time: float, scans: int, policy: Integration, detector: Detector) -> int:
+    """How many more spectra of `time` seconds a point needs that has `scans` and looks like `seen`."""
+    if policy.signal_to_noise is None:
+        return policy.scans - scans
+    needed = averages(seen.median, time, seen.read_variance, detector.gain, policy.signal_to_noise)
+    return int(min(needed, most(time, policy))) - scans
+
+
+def _shortfall(seen: Brightness, time: float, scans: int, policy: Integration, detector: Detector) -> str:
+    """By how much the wanted signal-to-noise ratio was missed, as a sentence; empty where it was reached."""
+    wanted = policy.signal_to_noise
+    if wanted is None or averages(seen.median, time, seen.read_variance, detector.gain, wanted) <= scans:
+        return ""
+    reached = signal_to_noise(seen.median, time, scans, seen.read_variance, detector.gain)
+    limit = f"with {scans} spectra" if scans == MOST_SPECTRA else f"within {policy.time_limit:g} s"
+    return f"reached a signal-to-noise ratio of {reached:.3g} of {wanted:g} {limit}"

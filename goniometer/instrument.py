@@ -28,7 +28,7 @@ TWICE = 0.01
 """Degrees by which two readings of a stage at rest may differ."""
 
 TEMPERATURE_DRIFT = 1.0
-"""Degrees Celsius by which the detector may depart from its first spectrum: darks are shared by a whole scan."""
+"""Degrees Celsius by which the detector may depart from its first spectrum; by more, its cooler has failed."""
 
 DARK_SPREAD = 2000.0
 """Counts by which parts of a dark spectrum may differ; light differs by more from one end of its spectrum to the other,
@@ -47,6 +47,9 @@ REST_POLL = 0.05
 RECOVERY_PAUSES = (1.0, 5.0, 20.0, 60.0)
 """Seconds between the attempts to make the devices usable again: a hub comes back at once, a fuse does not."""
 
+NOMINAL = BenchData()
+"""A bench of which nothing was stated."""
+
 _MOVING = {StagePhase.MOVING, StagePhase.HOMING}
 
 log = logging.getLogger(__name__)
@@ -63,7 +66,7 @@ class Instrument:
         light: Light,
         clock: Clock,
         *,
-        data: BenchData = BenchData(),
+        data: BenchData = NOMINAL,
         forbidden: tuple[Forbidden, ...] = (),
     ) -> None:
         self.clock = clock
@@ -161,7 +164,20 @@ class Instrument:
         where it was sent; `ProtocolError` where it reads two different angles at rest.
         """
         self.check(geometry)
-        wanted = geometry.sample_angle, geometry.detector_angle
+        return await self._go((geometry.sample_angle, geometry.detector_angle))
+
+    async def face_source(self, theta_in: float, detector_angle: float = 0.0) -> Geometry:
+        """Stand with the detector in front of the source, where it sees stray light only, and return the read-back.
+
+        `detector_angle` is measured from the source axis, degrees: the edges of the blocked sector show where the stage
+        is zero. No sample is measured there. Raises as `goto` does.
+        """
+        wanted = theta_in, detector_angle
+        check_standing(wanted, self.limits, self.forbidden)
+        return await self._go(wanted)
+
+    async def _go(self, wanted: Standing) -> Geometry:
+        """What `goto` does, once it is known that the arm may stand where it is wanted."""
         targets = self._sample_target, self._detector_target
         self._forget_targets()
         here = await _both(_ready(self._sample_stage), _ready(self._detector_stage))

@@ -21,6 +21,12 @@ from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE, Geometry
 MIRROR_OFFSETS = (-3.0, -1.0, 0.0, 1.0, 3.0)
 """Degrees from the mirror direction that the coarse sweep always visits, if the range allows."""
 
+MONITOR_INCIDENCE = 30.0
+"""Degrees; the lamp is monitored at the incident angle nearest to it, in the mirror direction, where light is."""
+
+GOOD_SIGNAL = 20.0
+"""Signal over noise of a direction in which two places of a sample are compared."""
+
 _SAME = 1e-6
 """Degrees below which two planned angles are the same."""
 
@@ -129,6 +135,36 @@ def reference_points(spec: PlanSpec, step: float = 10.0) -> list[Geometry]:
     count = int(np.floor((spec.highest - spec.lowest) / step + _SAME)) + 1
     wanted = [float(spec.lowest + step * i) for i in range(count)]
     return _sweep({t: _within(spec, t, wanted) for t in spec.theta_in})
+
+
+def monitor_direction(spec: PlanSpec) -> Geometry:
+    """Where the lamp is monitored: the measurable direction that is nearest to a mirror direction."""
+    theta_in = min(spec.theta_in, key=lambda t: abs(t - MONITOR_INCIDENCE))
+    nearest = [min(max(theta_in, low), high) for low, high in segments(spec, theta_in)]
+    return Geometry(theta_in, min(nearest, key=lambda a: abs(a - theta_in)))
+
+
+def spot_points(measured: list[Measured], count: int) -> list[Geometry]:
+    """Up to `count` measured directions in which another place of the sample is compared, by ascending theta_out.
+
+    They lie at the middle incident angle, are spread from backward to forward scattering and include the one nearest
+    to the mirror direction. Dark directions are left out while there are others.
+    """
+    valued = [p for p in measured if np.all(np.isfinite(p.values))]
+    if not valued:
+        return []
+    incident = sorted({p.geometry.theta_in for p in valued})
+    theta_in = incident[(len(incident) - 1) // 2]
+    here = [p for p in valued if p.geometry.theta_in == theta_in]
+    here.sort(key=lambda p: float(np.median(p.values / np.maximum(p.noise, 1e-12))), reverse=True)
+    good = [p for p in here if np.median(p.values) > GOOD_SIGNAL * np.median(p.noise)]
+    angles = sorted(p.geometry.theta_out for p in (good if len(good) >= count else here[:count]))
+    chosen = [min(angles, key=lambda a: abs(a - theta_in))]
+    # of evenly spread directions the one at the mirror direction has been chosen already
+    wanted = sorted(np.linspace(angles[0], angles[-1], count), key=lambda a: -abs(a - chosen[0]))
+    for target in wanted[: min(count, len(angles)) - 1]:
+        chosen.append(min((a for a in angles if a not in chosen), key=lambda a: abs(a - target)))
+    return [Geometry(theta_in, a) for a in sorted(chosen)]
 
 
 def _uniform(spec: PlanSpec, step: float) -> list[Geometry]:

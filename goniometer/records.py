@@ -185,10 +185,17 @@ def pack_dataset(dataset: Dataset) -> bytes:
         arrays[f"source_{i}"] = source.values
         if source.groups is not None:
             arrays[f"groups_{i}"] = source.groups
-    about = [{"name": s.name, "part": s.part, "shared_by_wavelengths": s.shared_by_wavelengths} for s in dataset.sources]
+    about = [
+        {"name": s.name, "part": s.part, "shared_by_wavelengths": s.shared_by_wavelengths} for s in dataset.sources
+    ]
     buffer = io.BytesIO()
     np.savez_compressed(
-        buffer, u_angle=dataset.u_angle, aperture=dataset.aperture, sources=json.dumps(about), **arrays
+        buffer,
+        u_angle=dataset.u_angle,
+        u_zero=dataset.u_zero,
+        aperture=dataset.aperture,
+        sources=json.dumps(about),
+        **arrays,
     )
     return buffer.getvalue()
 
@@ -205,6 +212,7 @@ def to_dataset(row: Row[Any]) -> Dataset:
                 sample=row.sample,
                 sources=sources,
                 u_angle=float(arrays["u_angle"]),
+                u_zero=float(arrays["u_zero"]),
                 aperture=float(arrays["aperture"]),
                 checks=tuple(Check(**check) for check in json.loads(row.checks)),
                 lineage=json.loads(row.lineage),

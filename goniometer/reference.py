@@ -11,17 +11,13 @@ Zenith angles enter in radians; phi is the azimuth between incident and reflecte
 source, pi = forward, so in plane `theta_out` > 0 means phi = pi.
 """
 
-import datetime
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
+from scipy.special import erf
 
 from drivers.arrays import FloatArray
-from goniometer.errors import CertificateError, GeometryError
+from goniometer.errors import GeometryError
 
 # The published coefficients c0 ... c26, in the paper's order and grouped as the terms below use them.
 _SUBSURFACE = (0.5696875917173422, 0.27903122059147045, -1.7476750611608318, 2.5855843488200034)
@@ -41,8 +37,11 @@ _BACK_CUT = (math.radians(10) / _BACK_WIDTHS[0]) ** 2 + (math.radians(5) / _BACK
 _SUBSURFACE_ENDS = -_SUBSURFACE[3] / _SUBSURFACE[2]
 """Zenith angle, radians, at which the azimuthal width d(t) reaches zero: H is continuous there, but not smooth."""
 
-_QUADRATURE_NODES = 64
-"""Gauss nodes in azimuth and in each part of the zenith angles; twice as many change no BRF by 1e-6."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+"""Gauss's rule, for the azimuth and for each part of the zenith angles.
+
+Against 1500 nodes it is right to 3e-7 for incident angles up to 84.5 degrees, and to 2e-5 where H has its edge.
+"""
 
 U_DIRECTIONAL = 0.009
 """Relative standard uncertainty of the spread over directions up to 70 degrees from the normal."""
@@ -70,42 +69,68 @@ def _diffuse_forward(t: FloatArray, forward2: FloatArray) -> FloatArray:
     return np.asarray(amplitude * np.exp(-forward2 / width**2))
 
 
+def _specular_height(theta_i: FloatArray) -> FloatArray:
+    """Height of the specular lobe."""
+    return _pos(_SPECULAR[0] * theta_i + _SPECULAR[1]) ** _SPECULAR[2]
+
+
+def _back_height(theta_i: FloatArray) -> FloatArray:
+    """Height of the back-scattered lobe before it is cut."""
+    return np.asarray((_BACK[0] * theta_i + _BACK[1]) ** _BACK[2])
+
+
 def _terms(azimuth: FloatArray, theta_v: FloatArray, theta_i: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The part of K that reddens and the part that does not; all angles in radians, azimuth in [0, 2 pi)."""
     forward2 = (azimuth - np.pi) ** 2
     back2 = np.minimum(azimuth, 2 * np.pi - azimuth) ** 2
     apart2 = (theta_v - theta_i) ** 2
-    specular = _pos(_SPECULAR[0] * theta_i + _SPECULAR[1]) ** _SPECULAR[2] * np.exp(
-        -forward2 / _SPECULAR_WIDTHS[0] ** 2 - apart2 / _SPECULAR_WIDTHS[1] ** 2
-    )
+    specular = np.exp(-forward2 / _SPECULAR_WIDTHS[0] ** 2 - apart2 / _SPECULAR_WIDTHS[1] ** 2)
     reddening = (
         _diffuse_forward(theta_v, forward2) * _diffuse_forward(theta_i, forward2)
         + _subsurface(theta_v, forward2) * _subsurface(theta_i, forward2)
-        + specular
+        + _specular_height(theta_i) * specular
     )
-    back = (_BACK[0] * theta_i + _BACK[1]) ** _BACK[2] * np.exp(
-        -np.maximum(back2 / _BACK_WIDTHS[0] ** 2 + apart2 / _BACK_WIDTHS[1] ** 2, _BACK_CUT)
-    )
-    neutral = 1 - _FALL_OFF[1] * theta_v ** _FALL_OFF[0] + back
+    back = np.exp(-np.maximum(back2 / _BACK_WIDTHS[0] ** 2 + apart2 / _BACK_WIDTHS[1] ** 2, _BACK_CUT))
+    neutral = 1 - _FALL_OFF[1] * theta_v ** _FALL_OFF[0] + _back_height(theta_i) * back
     return np.asarray(reddening), np.asarray(neutral)
 
 
-@lru_cache(maxsize=4096)
-def _hemisphere(theta_i: float) -> tuple[float, float]:
-    """(1/pi) integral of both parts of K times cos(theta_v) over the hemisphere; `theta_i` in radians.
+def _hemisphere(theta_i: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(1/pi) integral of both parts of K times cos(theta_v) over the hemisphere, [angles]; `theta_i` [angles] radians.
 
-    The wavelength is no part of it, because it enters K only as a factor of the first part. K is even in
-    phi - pi, so half the azimuths will do.
+    The wavelength is no part of it, because it enters K only as a factor of the first part. Nor is a double sum
+    for each angle: the diffuse terms are products of one factor for each direction, so that the sum over
+    theta_v is the same for all angles, and the azimuth integrals of the two lobes are error functions. K is even
+    in phi - pi, so half the azimuths will do.
     """
-    x, weight = np.polynomial.legendre.leggauss(_QUADRATURE_NODES)
-    azimuth = np.pi / 2 * (x + 1)
-    totals = np.zeros(2)
-    for low, high in ((0.0, _SUBSURFACE_ENDS), (_SUBSURFACE_ENDS, np.pi / 2)):
-        theta_v = low + (high - low) / 2 * (x + 1)
-        projected = (high - low) / 2 * weight * np.cos(theta_v) * np.sin(theta_v)
-        for part, value in enumerate(_terms(azimuth, theta_v[:, None], np.asarray(theta_i))):
-            totals[part] += projected @ value @ (np.pi * weight)
-    return float(totals[0] / np.pi), float(totals[1] / np.pi)
+    azimuth, azimuth_weight = np.pi / 2 * (_NODES + 1), np.pi * _WEIGHTS
+    forward2 = (azimuth - np.pi) ** 2
+    halves = ((0.0, _SUBSURFACE_ENDS), (_SUBSURFACE_ENDS, np.pi / 2))
+    theta_v = np.concatenate([low + (high - low) / 2 * (_NODES + 1) for low, high in halves])
+    projected = (
+        np.concatenate([(high - low) / 2 * _WEIGHTS for low, high in halves]) * np.cos(theta_v) * np.sin(theta_v)
+    )
+
+    viewed, lit = theta_v[:, None], theta_i[:, None]
+    reddening = _diffuse_forward(lit, forward2) @ (azimuth_weight * (projected @ _diffuse_forward(viewed, forward2)))
+    reddening += _subsurface(lit, forward2) @ (azimuth_weight * (projected @ _subsurface(viewed, forward2)))
+    apart2 = (theta_v - lit) ** 2
+    reddening += (
+        _specular_height(theta_i)
+        * _gaussian(_SPECULAR_WIDTHS[0])
+        * (np.exp(-apart2 / _SPECULAR_WIDTHS[1] ** 2) @ projected)
+    )
+    exponent = apart2 / _BACK_WIDTHS[1] ** 2
+    edge = _BACK_WIDTHS[0] * np.sqrt(np.maximum(_BACK_CUT - exponent, 0))  # azimuth where the cut lobe ends
+    back = 2 * edge * math.exp(-_BACK_CUT) + np.exp(-exponent) * _gaussian(_BACK_WIDTHS[0], edge)
+    fall_off = 2 * np.pi * (1 - _FALL_OFF[1] * theta_v ** _FALL_OFF[0]) @ projected
+    neutral = fall_off + _back_height(theta_i) * (back @ projected)
+    return np.asarray(reddening / np.pi), np.asarray(neutral / np.pi)
+
+
+def _gaussian(width: float, inner: FloatArray | float = 0.0) -> FloatArray:
+    """Integral of exp(-x^2 / width^2) over `inner` < |x| < pi, of the shape of `inner`; radians."""
+    return np.asarray(width * math.sqrt(math.pi) * (erf(math.pi / width) - erf(inner / width)))
 
 
 def brf_ratio(azimuth: FloatArray, theta_v: FloatArray, theta_i: FloatArray, wavelengths: FloatArray) -> FloatArray:
@@ -113,6 +138,11 @@ def brf_ratio(azimuth: FloatArray, theta_v: FloatArray, theta_i: FloatArray, wav
 
     `azimuth` [points] in [0, 360) with 180 = forward, `theta_v` and `theta_i` [points] unsigned angles of view
     and of incidence, all in degrees; `wavelengths` in nm. Raises `GeometryError` below the horizon.
+
+    The model was not built to be reciprocal. With both angles up to 70 degrees, exchanging the directions of light
+    and view changes the value, at 600 nm, by 0.58 % rms in plane and 0.46 % over the hemisphere (0.50 % weighted
+    by solid angles), and by 1.4 % at most (1.5 % from 300 nm on; near 60 and 47.5 degrees, towards the source): within
+    `U_DIRECTIONAL` for each of the two. Up to 85 degrees it is 1.8 % rms and 11 % at most.
     """
     theta_v, theta_i = np.radians(theta_v), np.radians(theta_i)
     for angle in (theta_v, theta_i):
@@ -123,9 +153,9 @@ def brf_ratio(azimuth: FloatArray, theta_v: FloatArray, theta_i: FloatArray, wav
             )
     reddening, neutral = _terms(np.radians(azimuth), theta_v, theta_i)
     distinct, position = np.unique(theta_i, return_inverse=True)
-    integrals = np.array([_hemisphere(float(t)) for t in distinct]).reshape(-1, 2)[position]
+    total_reddening, total_neutral = (integral[position, None] for integral in _hemisphere(distinct))
     red = (_REDDENING[0] * wavelengths * 1e-3 + _REDDENING[1]) ** _REDDENING[2]
-    return np.asarray((red * reddening[:, None] + neutral[:, None]) / (red * integrals[:, :1] + integrals[:, 1:]))
+    return np.asarray((red * reddening[:, None] + neutral[:, None]) / (red * total_reddening + total_neutral))
 
 
 def spectralon_brf_ratio(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
@@ -133,64 +163,12 @@ def spectralon_brf_ratio(theta_in: FloatArray, theta_out: FloatArray, wavelength
 
     `theta_in` and `theta_out` [points] in degrees, `wavelengths` in nm; 1 everywhere would be Lambertian.
     A negative `theta_in` is the same panel turned round. Raises `GeometryError` below the horizon.
+
+    Near normal incidence, where a real panel knows no forward and back, those of the formula differ by up to 0.15 %;
+    at 0 itself all is forward.
     """
     forward = theta_in * theta_out >= 0
     return brf_ratio(np.where(forward, 180.0, 0.0), np.abs(theta_out), np.abs(theta_in), wavelengths)
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """What a laboratory certifies about one panel: reflectance for 8 degrees into the hemisphere."""
-
-    serial_number: str
-    """Engraved on the panel; names the certificate in everything derived from it."""
-    calibrated: datetime.date | None
-    """Day of calibration; None for a nominal curve, which nobody measured on this panel."""
-    valid_until: datetime.date | None
-    """Last day on which the laboratory stands by it; None for a nominal curve."""
-    wavelengths: FloatArray
-    """[rows] nanometres, ascending."""
-    reflectance_8h: FloatArray
-    """[rows] 8-degree/hemispherical reflectance, 0 to 1."""
-    u_reflectance: FloatArray
-    """[rows] standard uncertainty (coverage factor 1) of `reflectance_8h`."""
-
-    def reflectance(self, wavelengths: FloatArray) -> FloatArray:
-        """Linear interpolation, of the shape of `wavelengths` (nm); raises `CertificateError` beyond the rows."""
-        lowest, highest = float(self.wavelengths[0]), float(self.wavelengths[-1])
-        if wavelengths.min() < lowest or wavelengths.max() > highest:
-            raise CertificateError(
-                f"Certificate {self.serial_number} covers {lowest:g} to {highest:g} nm, but "
-                f"{wavelengths.min():g} to {wavelengths.max():g} nm is needed; give one that covers these"
-            )
-        return np.interp(wavelengths, self.wavelengths, self.reflectance_8h)
-
-
-NOMINAL_SRS99 = Certificate(
-    serial_number="nominal SRS-99",
-    calibrated=None,
-    valid_until=None,
-    wavelengths=np.array([250.0, 270, 290, 310, 330, 360, 400, 500, 850, 900, 1050]),
-    reflectance_8h=np.array([0.953, 0.957, 0.970, 0.978, 0.984, 0.986, 0.987, 0.988, 0.988, 0.990, 0.990]),
-    u_reflectance=np.array([0.005, 0.005, 0.005, 0.004, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003]),
-)
-"""A clean white panel of nominally 99 % when its own certificate is not at hand.
-
-Rounded by us from what certificates of several such panels have in common; the uncertainty covers the spread
-from panel to panel besides that of one calibration.
-"""
-
-
-def reference_brdf(
-    theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray, certificate: Certificate
-) -> FloatArray:
-    """BRDF of the panel in plane, 1/sr, [points, wavelengths]: certified reflectance x `spectralon_brf_ratio` / pi.
-
-    `theta_in`, `theta_out` [points] in degrees, signed as in `goniometer.geometry`; `wavelengths` in nm. Raises
-    `CertificateError` for wavelengths beyond the certificate and `GeometryError` below the horizon.
-    """
-    ratio = spectralon_brf_ratio(theta_in, theta_out, wavelengths)
-    return np.asarray(certificate.reflectance(wavelengths) * ratio / np.pi)
 
 
 def reference_relative_uncertainty(theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
@@ -203,91 +181,3 @@ def reference_relative_uncertainty(theta_in: FloatArray, theta_out: FloatArray) 
     """
     grazing = np.maximum(np.abs(theta_in), np.abs(theta_out))
     return np.asarray(U_DIRECTIONAL + (U_DIRECTIONAL_GRAZING - U_DIRECTIONAL) * np.maximum(grazing - 70.0, 0.0) / 15.0)
-
-
-_COLUMNS = ["wavelength_nm", "reflectance", "standard_uncertainty"]
-_HEADERS = ("serial_number", "calibrated", "valid_until")
-
-
-def read_certificate(path: Path) -> str:
-    """The text of a certificate file, unchecked; raises `CertificateError` where it is no readable text."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CertificateError(f"{path}: the certificate cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise CertificateError(f"{path}: this is not a text file; a certificate is a CSV file in UTF-8") from error
-
-
-def parse_certificate(text: str, path: str) -> Certificate:
-    """A certificate from the text of a CSV file; `path` names the file in messages.
-
-    Its first lines are `# serial_number: ...`, `# calibrated: YYYY-MM-DD` and `# valid_until: YYYY-MM-DD`, in any
-    order; then the column names `wavelength_nm,reflectance,standard_uncertainty` and one row per wavelength.
-    Raises `CertificateError` with the number of the offending line.
-    """
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    headers = dict(_read_headers(path, lines))
-    missing = [name for name in _HEADERS if name not in headers]
-    if missing:
-        raise CertificateError(f"{path}: a line '# {missing[0]}: ...' is missing before the columns")
-    calibrated, valid_until = (_date(path, *headers[name]) for name in ("calibrated", "valid_until"))
-    if valid_until < calibrated:
-        raise CertificateError(
-            f"{path}, line {headers['valid_until'][0]}: valid until {valid_until}, which is before the calibration "
-            f"on {calibrated}"
-        )
-    rows = np.array(list(_read_rows(path, [(number, line) for number, line in lines if not line.startswith("#")])))
-    return Certificate(headers["serial_number"][1], calibrated, valid_until, rows[:, 0], rows[:, 1], rows[:, 2])
-
-
-def _read_headers(path: str, lines: list[tuple[int, str]]) -> Iterator[tuple[str, tuple[int, str]]]:
-    """Name, line number and value of every known `# name: value` line; other comments are passed over."""
-    for number, line in lines:
-        if not line.startswith("#"):
-            continue
-        name, _, value = line[1:].partition(":")
-        if name.strip() not in _HEADERS:
-            continue
-        if not value.strip():
-            raise CertificateError(f"{path}, line {number}: {name.strip()} has no value")
-        yield name.strip(), (number, value.strip())
-
-
-def _date(path: str, number: int, text: str) -> datetime.date:
-    try:
-        return datetime.date.fromisoformat(text)
-    except ValueError as error:
-        raise CertificateError(f"{path}, line {number}: '{text}' is not a day; write it as YYYY-MM-DD") from error
-
-
-def _read_rows(path: str, lines: list[tuple[int, str]]) -> Iterator[tuple[float, float, float]]:
-    """The rows of numbers below the line of column names, each checked."""
-    if not lines or [column.strip() for column in lines[0][1].split(",")] != _COLUMNS:
-        number = lines[0][0] if lines else 1
-        raise CertificateError(f"{path}, line {number}: the columns must be '{','.join(_COLUMNS)}'")
-    if len(lines) < 3:
-        raise CertificateError(f"{path}, line {lines[-1][0]}: at least two rows of wavelengths are needed after it")
-    previous = 0.0
-    for number, line in lines[1:]:
-        try:
-            wavelength, reflectance, uncertainty = (float(cell) for cell in line.split(","))
-        except ValueError as error:
-            raise CertificateError(
-                f"{path}, line {number}: '{line}' must be three numbers with commas between"
-            ) from error
-        if not previous < wavelength < math.inf:
-            raise CertificateError(
-                f"{path}, line {number}: {wavelength:g} nm is out of order; wavelengths must increase from row to row"
-            )
-        if not 0 < reflectance <= 1.05:
-            raise CertificateError(
-                f"{path}, line {number}: reflectance {reflectance:g} is impossible; it is a fraction between 0 and 1"
-            )
-        if not 0 <= uncertainty < 1:
-            raise CertificateError(
-                f"{path}, line {number}: standard uncertainty {uncertainty:g} is impossible; it is absolute, in the "
-                "unit of the reflectance"
-            )
-        previous = wavelength
-        yield wavelength, reflectance, uncertainty

@@ -20,7 +20,8 @@ tried again. The scan fails when the bench cannot be recovered, or when points f
 
 Everything that decides what happens next is read from the database. A batch of the plan is written before its
 first point is measured and a point together with its exposures, so a resumed scan measures the same
-directions with the same integration times as one that was never interrupted.
+directions with the same integration times as one that was never interrupted. Darks, stray light and looks at the lamp
+come as `goniometer.auxiliary` says, before the point that needs them.
 """
 
 import asyncio
@@ -32,17 +33,19 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import FloatArray
 from drivers.errors import DriverError
-from goniometer.calibration import Response, band_values, certificate_of, read_raw, response
+from goniometer.auxiliary import Auxiliary, Darks
+from goniometer.calibration import band_values, certificate_of
 from goniometer.campaign import Campaign
 from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
-from goniometer.exposure import Brightness, brightest, check_limits, predict, take
+from goniometer.exposure import Brightness, Detector, brightness, check_limits, detector_of, predict, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
-from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points
+from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points, spot_points
 from goniometer.progress import Progress
+from goniometer.raw import RawScan, read_raw
 from goniometer.records import Outcome, Phase, Point, Scan
+from goniometer.response import Response, response
 from goniometer.safety import check_plan
 from goniometer.store import Store
 
@@ -51,9 +54,6 @@ ATTEMPTS = 3
 
 FAILURES_IN_A_ROW = 3
 """After so many given-up points in a row the scan fails: something is wrong with a device, not with a point."""
-
-DARKS = 4
-"""Dark spectra of each integration time."""
 
 POLL = 0.05
 """Seconds of real time between two looks for a command."""
@@ -69,7 +69,8 @@ _ABORTED = "The operator aborted it; run the campaign again to go on where it st
 log = logging.getLogger(__name__)
 
 Mount = Callable[[Scan], Coroutine[Any, Any, None]]
-"""Called before a scan; returns when its sample, or the reference panel, lies on the bench."""
+"""Called before a scan; returns when its sample, or the reference panel, lies on the bench: for the scan of a spot the
+sample with another place in the light, or turned by 90 degrees about its normal."""
 Report = Callable[[Progress], None]
 """Called at every change; must return soon."""
 
@@ -81,24 +82,32 @@ async def run_campaign(
     mount: Mount,
     report: Report,
     on_scan_finished: Callable[[Scan], None],
+    certificate: str | None = None,
 ) -> int:
     """Run or resume a campaign on an open instrument, and return its id in the database.
 
+    `certificate` is the text of the panel's where the campaign names no file.
+
     The caller must hold `store.exclusive()`: whatever the database calls running then has lost its process.
-    `on_scan_finished` is called once the scan of a sample is complete, and for one that was complete before but
-    has no dataset, so that no fit is lost to a crash in between. Raises `CampaignError` (changed content or
-    certificate, impossible integration times), `GeometryError` (directions that the bench cannot take), `RunAborted`
-    (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign: `DriverError`, `StoreFull`, ...
+    `on_scan_finished` is called once the scan of a sample, and that of its spot, is complete, and for one that was
+    complete before but has no dataset, so that no fit is lost to a crash in between. Raises `CampaignError` (changed
+    content or certificate, impossible integration times), `GeometryError` (directions that the bench cannot take),
+    `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign: `DriverError`, ...
     """
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
     check_plan(plan_spec(campaign), instrument.limits, instrument.forbidden)
-    campaign_id = store.add_campaign(campaign)
-    for scan in store.scans(campaign_id):
+    campaign_id = store.add_campaign(campaign, certificate)
+    before_spot = campaign.homogeneity is not None
+    scans = store.scans(campaign_id)
+    for scan in scans:
         if scan.outcome != "completed":
             await run_scan(store, scan.id, instrument, mount, report)
-        if scan.kind == "sample" and not store.datasets(scan.id):
-            on_scan_finished(store.scan(scan.id))
+        if scan.kind == "reference" or (scan.kind == "sample" and before_spot):
+            continue
+        sample = scans[scan.number - before_spot]
+        if not store.datasets(sample.id):
+            on_scan_finished(store.scan(sample.id))
     return campaign_id
 
 
@@ -149,11 +158,13 @@ class _Run:
         self.report = report
         self.campaign = store.campaign(scan.campaign_id)
         self.spec = plan_spec(self.campaign)
-        self.scans = self.campaign.reference.scans if scan.kind == "reference" else self.campaign.integration.scans
+        self.policy = self.campaign.integration
+        if scan.kind == "reference":  # its points serve all others and are bright: none is cut short
+            changes = {"scans": self.campaign.reference.scans, "signal_to_noise": None}
+            self.policy = self.policy.model_copy(update=changes)
         self.response: Response | None = None
-        # The next two repeat stored exposures, so that choosing an exposure does not read them all again.
-        self.darks: dict[float, FloatArray] = {}
-        self.seen: dict[float, list[Brightness]] = {}
+        # Repeats stored exposures, so that choosing an exposure does not read them all again.
+        self.seen: dict[float, list[tuple[float, Brightness]]] = {}
         self.began = time.monotonic()
         self.done = self.done_before = self.failed = self.expected = 0
         self.bench_seconds = 0.0
@@ -161,7 +172,11 @@ class _Run:
     async def measure(self) -> None:
         """Measure until the plan has no more points."""
         self.store.save_constants(self.scan.id, await self.instrument.constants())
-        self._recall()
+        raw = read_raw(self.store, self.scan.id)
+        self.detector: Detector = detector_of(raw.constants)
+        self.darks = Darks(self.store, self.scan.id, self.instrument, raw.darks)
+        self.auxiliary = Auxiliary(self.store, self.instrument, self.campaign, raw, self.darks)
+        self._recall(raw)
         failures = 0
         while batch := self._pending():
             for point in batch:
@@ -174,6 +189,9 @@ class _Run:
                     raise failure
                 self.tell("running", point.geometry)
         await self._obey()  # what was asked for during the last point
+        fault = await self._tried(self.auxiliary.closing, "after the last point")
+        if fault is not None:
+            raise fault
         if self.scan.kind == "reference":
             self._check_whole()
 
@@ -211,13 +229,13 @@ class _Run:
             )
         )
 
-    def _recall(self) -> None:
-        """Read what earlier runs of this scan have done."""
-        raw = read_raw(self.store, self.scan.id)
-        self.darks = {t: np.asarray(counts.mean(axis=0)) for t, counts in raw.darks.items()}
-        for geometry, counts, t in zip(raw.planned, raw.counts, raw.integration_times, strict=True):
-            rate = brightest(counts, float(t), self.darks[float(t)], raw.constants.saturation)
-            self._remember(geometry, rate)
+    def _recall(self, raw: RawScan) -> None:
+        """Take up what earlier runs of this scan have done."""
+        shortest = {shot.point: shot for shot in sorted(raw.shots, key=lambda s: s.integration_time, reverse=True)}
+        for i, geometry in enumerate(raw.planned):
+            shot = shortest[i]
+            dark = self.darks.stored(shot.integration_time, shot.temperature)
+            self._remember(geometry, brightness(shot.counts, shot.integration_time, dark, self.detector))
         points = self.store.points(self.scan.id)
         self.done = self.done_before = sum(p.status in {"done", "failed", "skipped"} for p in points)
         self.failed = sum(p.status in {"failed", "skipped"} for p in points)
@@ -236,22 +254,27 @@ class _Run:
         return pending
 
     def _plan(self, points: list[Point]) -> list[Geometry]:
+        if self.scan.kind == "sample":
+            return next_points(self.spec, self._measured(self.scan))
+        if points:
+            return []
         if self.scan.kind == "reference":
-            return [] if points else reference_points(self.spec, self.campaign.reference.step)
-        return next_points(self.spec, self._measured(points))
+            return reference_points(self.spec, self.campaign.reference.step)
+        assert self.campaign.homogeneity is not None  # or there were no such scan
+        sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
+        return spot_points(self._measured(sample), self.campaign.homogeneity.points)
 
-    def _measured(self, points: list[Point]) -> list[Measured]:
-        """What the plan may know: bands of measured points, and nothing but the place of failed ones."""
+    def _measured(self, scan: Scan) -> list[Measured]:
+        """What the plan may know of a scan: bands of measured points, and nothing but the place of failed ones."""
         nothing = np.full(1, np.nan)
+        points = self.store.points(scan.id)
         visited = [Measured(p.geometry, nothing, nothing) for p in points if p.status in {"failed", "skipped"}]
-        raw = read_raw(self.store, self.scan.id)
-        if not raw.planned:
+        if not any(p.status == "done" for p in points):
             return visited
+        raw = read_raw(self.store, scan.id)
         if self.response is None:
-            reference = self.store.reference_scan(self.scan.id)
-            self.response = response(
-                read_raw(self.store, reference.id), certificate_of(self.store, self.scan.campaign_id)
-            )
+            reference = self.store.reference_scan(scan.id)
+            self.response = response(read_raw(self.store, reference.id), certificate_of(self.store, scan.campaign_id))
         values, noise = band_values(raw, self.response)
         return [Measured(g, v, u) for g, v, u in zip(raw.planned, values, noise, strict=True)] + visited
 
@@ -259,9 +282,11 @@ class _Run:
         """How many points this scan will have: from its own intervals, or from its like before these are known."""
         if self.scan.kind == "reference":
             return len(reference_points(self.spec, self.campaign.reference.step))
+        if self.scan.kind == "spot":
+            return len(points)
         coarse = len(next_points(self.spec, []))
         if self.done >= coarse:
-            return expected_total(self.spec, self._measured(points))
+            return expected_total(self.spec, self._measured(self.scan))
         others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
         if not others:
             return round(TYPICAL_REFINEMENT * coarse)
@@ -309,54 +334,54 @@ class _Run:
 
         Raises `DriverError` where the bench cannot be made usable again.
         """
+
+        async def attempt() -> None:
+            self.store.start_point(point.id)
+            await self._measure_point(point)
+
+        geometry = point.geometry
+        where = f"theta_in = {geometry.theta_in:g}, theta_out = {geometry.theta_out:g} deg"
+        try:
+            fault = await self._tried(attempt, where)
+        except GeometryError as error:
+            self.store.give_up_point(point.id, "skipped", str(error))
+            return error
+        if fault is not None:
+            self.store.give_up_point(point.id, "failed", str(fault))
+        return fault
+
+    async def _tried(self, work: Callable[[], Coroutine[Any, Any, None]], where: str) -> DriverError | None:
+        """Do `work`, again after a fault; returns the last one when it was given up, or None.
+
+        Raises `DriverError` where the bench cannot be made usable again.
+        """
         fault: DriverError | None = None
         for attempt in range(1, ATTEMPTS + 1):
-            self.store.start_point(point.id)
             try:
-                await self.unless_aborted(self._measure_point(point))
-            except GeometryError as error:
-                self.store.give_up_point(point.id, "skipped", str(error))
-                return error
+                await self.unless_aborted(work())
             except DriverError as error:
                 fault = error
-                log.warning(
-                    "theta_in = %g, theta_out = %g deg, attempt %d of %d: %s",
-                    point.geometry.theta_in,
-                    point.geometry.theta_out,
-                    attempt,
-                    ATTEMPTS,
-                    error,
-                )
+                log.warning("%s, attempt %d of %d: %s", where, attempt, ATTEMPTS, error)
                 # Recovery meets again whatever is wrong now; what is told is why this attempt failed.
                 with contextlib.suppress(DriverError):
                     await self.instrument.safe()
                 await self.unless_aborted(self.instrument.recover())
             else:
                 return None
-        self.store.give_up_point(point.id, "failed", str(fault))
         return fault
 
     async def _measure_point(self, point: Point) -> None:
-        """Go there, expose, and write the point with its exposures."""
+        """Do what is due before it, go there, expose, and write the point with its exposures."""
         self.tell("running", point.geometry)
         began = self.instrument.clock.now()
+        await self.auxiliary.before(point.geometry)
         read_back = await self.instrument.goto(point.geometry)
         predicted = predict(point.geometry.theta_out, self.seen.get(point.geometry.theta_in, []))
-        spectra = await take(self.instrument, self.campaign.integration, self.scans, predicted, self._dark)
-        counts, t = np.stack([s.counts for s in spectra]), spectra[0].integration_time
-        dark = await self._dark(t)  # before the point is written: a stored point always has its dark
+        taken = await take(self.instrument, self.detector, self.policy, predicted, self.darks.of)
         seconds = self.instrument.clock.now() - began
-        self.store.finish_point(point, read_back, spectra, seconds)
-        self._remember(point.geometry, brightest(counts, t, dark, self.instrument.saturation))
+        self.store.finish_point(point, read_back, taken.spectra, taken.moment, seconds, taken.reason)
+        self._remember(point.geometry, taken.brightness)
         self.bench_seconds += seconds
 
-    def _remember(self, geometry: Geometry, rate: float) -> None:
-        self.seen.setdefault(geometry.theta_in, []).append(Brightness(geometry.theta_out, rate))
-
-    async def _dark(self, integration_time: float) -> FloatArray:
-        """[pixels] mean dark of an integration time, counts; taken and written the first time it is needed."""
-        if integration_time not in self.darks:
-            spectra = [await self.instrument.dark(integration_time) for _ in range(DARKS)]
-            self.store.add_darks(self.scan.id, spectra)
-            self.darks[integration_time] = np.mean([s.counts for s in spectra], axis=0)
-        return self.darks[integration_time]
+    def _remember(self, geometry: Geometry, seen: Brightness) -> None:
+        self.seen.setdefault(geometry.theta_in, []).append((geometry.theta_out, seen))

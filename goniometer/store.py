@@ -17,8 +17,9 @@ from sqlalchemy import case, delete, func, insert, literal, or_, select, update
 from drivers.interfaces import Spectrum
 from goniometer import tables
 from goniometer.campaign import Campaign
-from goniometer.database import Database, insert_row
+from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
+from goniometer.database import Database, insert_row
 from goniometer.dataset import Dataset
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry
@@ -42,7 +43,6 @@ from goniometer.records import (
     to_point,
     to_scan,
 )
-from goniometer.reference import read_certificate
 
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 
@@ -57,19 +57,27 @@ class Store(Database):
 
     # Campaigns and scans
 
-    def add_campaign(self, campaign: Campaign) -> int:
+    def add_campaign(self, campaign: Campaign, certificate: str | None = None) -> int:
         """Id of the campaign; it is written, with its scans and its certificate, unless it is there already.
 
-        A campaign of this name that has no point yet gives way to a changed one. Raises `CampaignError` when one
-        that has begun was started with other content or another certificate, `CertificateError` when the
-        certificate cannot be read.
+        `certificate` is the text of the panel's where the campaign names no file. A campaign of this name that has no
+        point yet gives way to a changed one; of one that has, only who overrides its certificate may change. Each
+        sample is followed by a spot scan where homogeneity is asked for. Raises `CampaignError` when a campaign that
+        has begun was started with other content or another certificate, `CertificateError` when the certificate
+        cannot be read.
         """
         path = campaign.reference.certificate
-        certificate = None if path is None else read_certificate(Path(path))
+        certificate = certificate if path is None else read_certificate(Path(path))
         with self._writing() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
                 if known.hash == campaign.hash and known.certificate == certificate:
+                    # a certificate may have expired since, and somebody answers for it
+                    connection.execute(
+                        update(tables.campaigns)
+                        .where(tables.campaigns.c.id == known.id)
+                        .values(json=campaign.canonical_json)
+                    )
                     return int(known.id)
                 mine = tables.scans.c.campaign_id == known.id
                 if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
@@ -90,7 +98,8 @@ class Store(Database):
                 created=now(),
             )
             things = [("reference", "reference", "spectralon")]
-            things += [("sample", sample.name, sample.material) for sample in campaign.samples]
+            kinds = ("sample",) if campaign.homogeneity is None else ("sample", "spot")
+            things += [(kind, sample.name, sample.material) for sample in campaign.samples for kind in kinds]
             for number, (kind, sample, material) in enumerate(things):
                 insert_row(
                     connection,

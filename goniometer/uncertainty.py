@@ -55,3 +55,35 @@ def everywhere(points: int) -> Groups:
 def combined(sources: tuple[ErrorSource, ...], shape: tuple[int, int]) -> FloatArray:
     """[points, wavelengths] combined standard uncertainty (coverage factor 1) of all `sources`, 1/sr."""
     return np.asarray(np.sqrt(sum((source.values**2 for source in sources), np.zeros(shape))))
+
+
+def covariance_by_source(gain: FloatArray, sources: tuple[ErrorSource, ...]) -> dict[str, FloatArray]:
+    """[parameters, parameters] covariance that each source gives to what is linear in the BRDF, by its name.
+
+    `gain` [parameters, points, wavelengths] is the derivative of each parameter by each value of the BRDF, zero where
+    a value takes no part. The whole covariance is the sum. JCGM 100:2008, 5.2, for errors that are shared.
+    """
+    return {source.name: _outer(_effects(gain, source)) for source in sources}
+
+
+def variance(gain: FloatArray, sources: tuple[ErrorSource, ...]) -> FloatArray:
+    """[parameters] the diagonal of the sum of `covariance_by_source`, without its other elements."""
+    none = np.zeros(gain.shape[0])
+    return np.asarray(sum((np.sum(_effects(gain, source) ** 2, axis=(1, 2)) for source in sources), none))
+
+
+def _effects(gain: FloatArray, source: ErrorSource) -> FloatArray:
+    """[parameters, groups, wavelengths] what each of the source's independent errors does to the parameters."""
+    effect = gain * source.values
+    if source.shared_by_wavelengths:
+        effect = effect.sum(axis=2, keepdims=True)
+    if source.groups is None:
+        return np.asarray(effect)
+    member = (np.arange(source.groups.max() + 1)[:, None] == source.groups).astype(float)
+    return np.asarray(member @ effect)
+
+
+def _outer(effects: FloatArray) -> FloatArray:
+    """[parameters, parameters] products of [parameters, ...], summed over everything else."""
+    flat = effects.reshape(effects.shape[0], -1)
+    return np.asarray(flat @ flat.T)

@@ -4,34 +4,41 @@ A read-out follows the light:
 
     halogen lamp x fibre and detector efficiency        the shape of the signal over wavelength
     x cos(theta_in) x BRDF through the aperture         what the sample sends into the detector
+    x share of the footprint that lies on the sample    what the detector sees beyond the sample is black
     + stray light                                       all that is left where the detector blocks the source
+    + the lines of a calibration lamp                   where one is mounted in place of a sample
     -> electrons, Poisson                               shot noise
     + dark electrons, Poisson                           dark current at the sensor's temperature
     -> non-linearity, offset, read noise, whole counts, saturation
 
-The light source is collimated, so the sample receives cos(theta_in) of its irradiance; the detector sees a spot
-that always lies within the sample (2.5 mm across, 30 mm at 85 degrees, on a disc of 50 mm), so nothing is clipped
-there. Left out: polarisation, inhomogeneous samples, offsets of angles and wavelengths.
+The light source is collimated and wider than any sample, so the sample receives cos(theta_in) of its irradiance. What
+the bench does wrong, such as zeros of stages or a shifted wavelength scale, are its `Imperfections`. Left out:
+polarisation, and the spectrometer's resolution for anything but the lines of a lamp.
 
 Nothing is drawn from a running stream of random numbers. The noise of a read-out is a function of the seed, the
-sample, where the stages truly stand, the integration time, shutter and lamp, and how many such read-outs went
-before since the sample was mounted: a measurement that is killed and resumed reads the same counts as one that
-was not.
+sample and the spot on it, where the stages truly stand, the integration time, shutter and lamp, and how many such
+read-outs went before since the sample was mounted: a measurement that is killed and resumed reads the same counts as
+one that was not.
 """
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
+from scipy.special import ndtr
 
 from drivers.arrays import CountArray, FloatArray
 from drivers.clock import Clock
+from goniometer.certificate import NOMINAL_SRS99
+from goniometer.constants import BenchData
 from goniometer.geometry import Geometry, from_stages
-from goniometer.reference import NOMINAL_SRS99, reference_brdf
-from simulators.materials import Material, Panel, material, true_brdf
+from simulators.imperfections import IDEAL, Imperfections, generator
+from simulators.materials import NOTHING, Emitter, Mountable, Panel, material, true_brdf
+
+STATED = BenchData()
+"""What the operator of this bench believes; `Imperfections` are the true errors of it."""
 
 PIXELS = 1044
 """Pixels of the detector array."""
@@ -45,7 +52,7 @@ FULL_SCALE = 200_000
 NONLINEARITY_COEFFICIENTS = (0.998, 5.0e-8, -7.5e-13, 1.0e-18, 0.0, 0.0, 0.0, 0.0)
 """Dark-subtracted counts x are the true ones times this polynomial in x: 0.998 at zero, 0.986 at full scale."""
 
-GAIN = 5.0
+GAIN = STATED.gain
 """Electrons per count."""
 
 OFFSET = 1500.0
@@ -57,8 +64,8 @@ READ_NOISE = 6.0
 BRIGHTEST = 2000.0
 """Counts a second in the brightest pixel with Spectralon at theta_in = 0, theta_out = 45 degrees."""
 
-STRAY_LIGHT = 1e-5
-"""Stray light, as the BRDF times cos(theta_in) that would give the same signal, 1/sr; everywhere the same."""
+RESOLUTION = 1.6
+"""Full width at half maximum of a spectral line, nm."""
 
 BLOCKED_HALF_WIDTH = 4.95
 """Degrees from the source axis in which the detector truly shades the sample.
@@ -68,9 +75,6 @@ A little less than what `goniometer.geometry` leaves out, as that includes the e
 
 LAMP_TEMPERATURE = 2900.0
 """Colour temperature of the halogen lamp, kelvin."""
-
-DRIFT_PERIOD = 3600.0
-"""Period of the lamp's slow drift, seconds."""
 
 _ANGLE_STEPS = 10_000
 """Steps per degree to which an angle counts as the same, so that rounding cannot change the noise."""
@@ -97,73 +101,120 @@ class OpticalBench:
         seed: int,
         sample_axis: Standing,
         detector_axis: Standing,
-        lamp_drift: float = 0.0,
+        imperfections: Imperfections = IDEAL,
     ) -> None:
         """Set the bench up with nothing mounted.
 
-        `lamp_drift` is the relative amplitude of a slow sine of the lamp's output over the clock's time; with drift
-        a resumed measurement is no longer the same bit by bit.
+        With a lamp that drifts a resumed measurement is no longer the same bit by bit.
         """
+        self.imperfections = imperfections
+        """What it does wrong."""
         self._clock = clock
         self._seed = seed
         self._axes = sample_axis, detector_axis
-        self._lamp_drift = lamp_drift
-        self._wavelengths = _polynomial(np.arange(PIXELS, dtype=float), WAVELENGTH_COEFFICIENTS)
+        self._wavelengths = _true_wavelengths(np.arange(PIXELS, dtype=float), imperfections)
         self._throughput = _throughput(self._wavelengths)
-        self._dark_pattern = _generator(seed, "dark current").lognormal(0, 0.3, PIXELS)
-        self._offset = OFFSET + _generator(seed, "offset").normal(0, 5, PIXELS)
-        self._mounted: Material | Panel | None = None
-        self._identical: Counter[tuple[object, ...]] = Counter()
+        self._dark_pattern = generator(seed, "dark current").lognormal(0, 0.3, PIXELS)
+        self._offset = OFFSET + generator(seed, "offset").normal(0, 5, PIXELS)
         self._seen: tuple[Geometry, FloatArray] | None = None
+        self._identical: Counter[tuple[object, ...]] = Counter()
+        self._lay(NOTHING, 0)
 
     @property
-    def mounted(self) -> str | None:
-        """Canonical name of the material on the sample stage; None while there is nothing."""
-        return None if self._mounted is None else self._mounted.name
+    def mounted(self) -> str:
+        """Canonical name of what is on the sample stage."""
+        return self._mounted.name
 
-    def mount(self, material_name: str) -> None:
-        """Lay a material on the sample stage; raises `UnknownMaterial`."""
-        self._mounted, self._seen = material(material_name), None
-        self._identical = Counter()
+    @property
+    def spot(self) -> int:
+        """Number of the spot on it that is looked at."""
+        return self._spot
+
+    def mount(self, material_name: str, spot: int = 0) -> None:
+        """Lay a material on the sample stage, so that `spot` of it is looked at; raises `UnknownMaterial`.
+
+        Spot 0 is the first place or azimuth, 1 another one, and so on; only inhomogeneous samples look different there.
+        """
+        self._lay(material(material_name), spot)
 
     def read_out(
         self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
     ) -> CountArray:
         """[pixels] raw counts after `integration_time` seconds, with everything standing as it does now.
 
-        `sensor_temperature` in degrees Celsius sets the dark current.
+        `sensor_temperature` in degrees Celsius sets the dark current. A calibration lamp that is mounted is switched
+        together with the bench's own.
         """
-        sample, detector = (round(axis.true_position() * _ANGLE_STEPS) for axis in self._axes)
+        geometry = self.geometry()
         microseconds = round(integration_time * 1e6)
-        key = (self._seed, self.mounted, sample, detector, microseconds, shutter_open, lamp_on)
-        random = _generator(*key, self._identical[key])
+        key = (self._seed, self.mounted, self.spot, geometry, microseconds, shutter_open, lamp_on)
+        random = generator(*key, self._identical[key])
         self._identical[key] += 1
         light = np.zeros(PIXELS)
         if shutter_open and lamp_on:
-            geometry = from_stages(sample / _ANGLE_STEPS, detector / _ANGLE_STEPS)
-            light = random.poisson(GAIN * integration_time * self._light(geometry)) / GAIN
-        dark_current = dark_rate(sensor_temperature) * self._dark_pattern
-        dark = random.poisson(GAIN * integration_time * dark_current) / GAIN
-        counts = _as_read(light) + dark + self._offset + random.normal(0, READ_NOISE, PIXELS)
+            light = random.poisson(GAIN * integration_time * self.light(geometry)) / GAIN
+        dark = random.poisson(GAIN * integration_time * self.dark_current(sensor_temperature)) / GAIN
+        counts = self.as_read(light) + dark + self._offset + random.normal(0, READ_NOISE, PIXELS)
         return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.uint32)
 
-    def _light(self, geometry: Geometry) -> FloatArray:
-        """[pixels] true counts a second without noise."""
+    def geometry(self) -> Geometry:
+        """The true directions, as the stages stand now; rounded, so that nothing else can change the noise."""
+        zeros = self.imperfections.sample_zero, self.imperfections.detector_zero
+        sample, detector = (
+            round((axis.true_position() + zero) * _ANGLE_STEPS) / _ANGLE_STEPS
+            for axis, zero in zip(self._axes, zeros, strict=True)
+        )
+        return from_stages(sample, detector)
+
+    def light(self, geometry: Geometry) -> FloatArray:
+        """[pixels] true counts a second without noise, in the directions `geometry` and at the clock's time."""
         if self._seen is None or self._seen[0] != geometry:
-            self._seen = geometry, self._throughput * (STRAY_LIGHT + self._cosine_brdf(geometry))
-        drift = self._lamp_drift * math.sin(2 * math.pi * self._clock.now() / DRIFT_PERIOD)
-        return self._seen[1] * (1 + drift)
+            received = self.imperfections.stray_light + self._cosine_brdf(geometry)
+            self._seen = geometry, self._throughput * received
+        return self._seen[1] * self.imperfections.lamp(self._clock.now(), self._wavelengths) + self._lines
+
+    def dark_current(self, sensor_temperature: float) -> FloatArray:
+        """[pixels] mean counts a second without light, at `sensor_temperature` degrees Celsius."""
+        return dark_rate(sensor_temperature) * self._dark_pattern
+
+    def as_read(self, light: FloatArray) -> FloatArray:
+        """Mean counts that the device makes of true counts `light`, of any shape, before offset and dark current."""
+        error = self.imperfections.nonlinearity * np.minimum(light, 2 * FULL_SCALE) / FULL_SCALE
+        return np.interp(light * (1 + error), _TRUE, _READ)
+
+    def _lay(self, mounted: Mountable, spot: int) -> None:
+        self._mounted, self._spot = mounted, spot
+        self._lines = self._emission(mounted) if isinstance(mounted, Emitter) else np.zeros(PIXELS)
+        self._seen = None
+        self._identical.clear()
+
+    def _emission(self, lamp: Emitter) -> FloatArray:
+        """[pixels] counts a second of Gaussian lines, each integrated over the width of every pixel."""
+        edges = _true_wavelengths(np.arange(PIXELS + 1, dtype=float) - 0.5, self.imperfections)
+        std = RESOLUTION / math.sqrt(8 * math.log(2))
+        shares = (np.diff(ndtr((edges - wavelength) / std)) * strength for wavelength, strength in lamp.lines)
+        return sum(shares, np.zeros(PIXELS))
 
     def _cosine_brdf(self, geometry: Geometry) -> FloatArray:
-        """[pixels] cos(theta_in) x BRDF of what is mounted, 1/sr; zero where the detector blocks the source."""
-        if self._mounted is None or abs(geometry.detector_angle) < BLOCKED_HALF_WIDTH:
+        """[pixels] cos(theta_in) x BRDF x share of the footprint, 1/sr; zero where the detector blocks the source."""
+        mounted = self._mounted
+        if isinstance(mounted, Emitter) or abs(geometry.detector_angle) < BLOCKED_HALF_WIDTH:
             return np.zeros(PIXELS)
+        bench = self.imperfections
         theta_in, theta_out = np.array([geometry.theta_in]), np.array([geometry.theta_out])
-        brdf = true_brdf(self._mounted, theta_in, theta_out, self._wavelengths)[0]
-        return np.asarray(math.cos(math.radians(geometry.theta_in)) * brdf)
+        aperture = STATED.aperture + bench.aperture_error
+        field_of_view = STATED.field_of_view + bench.field_of_view_error
+        if isinstance(mounted, Panel):
+            wavelengths = _within(self._wavelengths, mounted.certificate.wavelengths)
+            brdf = true_brdf(mounted, theta_in, theta_out, wavelengths)[0]
+            brdf = brdf * bench.panel(mounted.certificate, theta_in, theta_out, wavelengths)[0]
+        else:
+            brdf = true_brdf(mounted, theta_in, theta_out, self._wavelengths, aperture, self._spot)[0]
+        share = share_on_disc(geometry.theta_out, field_of_view, mounted.diameter_mm)
+        return np.asarray(math.cos(math.radians(geometry.theta_in)) * share * brdf)
 
 
-def positioning_error(seed: int, axis_name: str, std_deg: float = 0.005) -> Callable[..., float]:
+def positioning_error(seed: int, axis_name: str, std_deg: float = STATED.u_angle) -> Callable[..., float]:
     """How far an axis comes to rest from where it was sent, degrees, as a function of the target, degrees.
 
     Gaussian with standard deviation `std_deg`. The same target in the same circumstances, which are any further
@@ -171,7 +222,7 @@ def positioning_error(seed: int, axis_name: str, std_deg: float = 0.005) -> Call
     """
 
     def error(target: float, *circumstances: object) -> float:
-        return float(_generator(seed, axis_name, round(target * _ANGLE_STEPS), *circumstances).normal(0, std_deg))
+        return float(generator(seed, axis_name, round(target * _ANGLE_STEPS), *circumstances).normal(0, std_deg))
 
     return error
 
@@ -181,13 +232,24 @@ def dark_rate(sensor_temperature: float) -> float:
     return float(4.0 * 2 ** ((sensor_temperature + 10.0) / 6.0))
 
 
-def _generator(*key: object) -> np.random.Generator:
-    """Random numbers that depend on `key` and on nothing else, in this process and in any other."""
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(repr(key).encode()).digest()))
+def share_on_disc(theta_out: float, field_of_view: float, diameter: float) -> float:
+    """Share of what the detector sees that lies on a round sample under the middle of it.
+
+    It sees an ellipse with the half axes b = `field_of_view` / 2 (mm) and a = b / cos(theta_out), of which the disc of
+    radius R = `diameter` / 2 (mm), R > b, cuts the ends off where a > R. Their outlines meet at b s across the plane,
+    s^2 = (a^2 - R^2) / (a^2 - b^2), and the integral of the shorter of the two lengths is elementary. `theta_out` in
+    degrees.
+    """
+    b, radius = field_of_view / 2, diameter / 2
+    a = b / max(math.cos(math.radians(theta_out)), 1e-9)
+    if a <= radius:
+        return 1.0
+    s = math.sqrt((a**2 - radius**2) / (a**2 - b**2))
+    return 2 / math.pi * (radius**2 / (a * b) * math.asin(b * s / radius) + math.acos(s))
 
 
 def _throughput(wavelengths: FloatArray) -> FloatArray:
-    """[pixels] true counts a second for cos(theta_in) x BRDF of 1/sr.
+    """[wavelengths] true counts a second for cos(theta_in) x BRDF of 1/sr.
 
     Photons of a black body (Planck's law over the photon energy) times a smooth efficiency of fibre, grating and
     silicon that is best at 580 nm; scaled so that the brightest pixel sees `BRIGHTEST` on Spectralon.
@@ -196,8 +258,19 @@ def _throughput(wavelengths: FloatArray) -> FloatArray:
     photons = wavelengths**-4 / np.expm1(second_radiation_constant / (wavelengths * LAMP_TEMPERATURE))
     efficiency = np.exp(-(((wavelengths - 580.0) / 300.0) ** 2))
     shape = photons * efficiency
-    panel = reference_brdf(np.array([0.0]), np.array([45.0]), wavelengths, NOMINAL_SRS99)[0]
+    certified = _within(wavelengths, NOMINAL_SRS99.wavelengths)
+    panel = NOMINAL_SRS99.brdf(np.array([0.0]), np.array([45.0]), certified)[0]
     return np.asarray(BRIGHTEST * shape / np.max(shape * panel))
+
+
+def _within(wavelengths: FloatArray, table: FloatArray) -> FloatArray:
+    """`wavelengths` without what a shifted scale carries beyond the ends of a `table`, where it is held constant."""
+    return np.clip(wavelengths, table[0], table[-1])
+
+
+def _true_wavelengths(pixels: FloatArray, imperfections: Imperfections) -> FloatArray:
+    """Of the shape of `pixels`, which may be fractions, nm."""
+    return _polynomial(pixels, WAVELENGTH_COEFFICIENTS) + imperfections.wavelength_offset
 
 
 def _polynomial(x: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
@@ -207,8 +280,4 @@ def _polynomial(x: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
 
 _READ = np.linspace(0, 2 * FULL_SCALE, 4001)
 _TRUE = _READ / _polynomial(np.minimum(_READ, FULL_SCALE), NONLINEARITY_COEFFICIENTS)
-
-
-def _as_read(true_counts: FloatArray) -> FloatArray:
-    """Dark-subtracted counts x of a non-linear detector: the inverse of true = x / polynomial(x), by table."""
-    return np.interp(true_counts, _TRUE, _READ)
+"""Dark-subtracted counts x of a non-linear detector, and the true ones x / polynomial(x): a table to invert that."""

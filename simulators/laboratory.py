@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 from usb.backend import IBackend
 
-from simulators.bench import GAIN, OpticalBench, positioning_error
+from goniometer.constants import BenchData
+from simulators.bench import STATED, OpticalBench, positioning_error
 from simulators.clock import SimulatedClock
+from simulators.imperfections import Imperfections, drawn
 from simulators.k10cr1 import SimulatedK10CR1
 from simulators.motion import Axis
 from simulators.oriental_az import SimulatedOrientalAZ
@@ -24,6 +26,8 @@ STAGES = ("smc100", "oriental-az")
 """Families of the sample and of the detector stage of the demo bench."""
 COUNTS_PER_DEGREE = 1000.0
 """Of a simulated OWIS stage."""
+MOUNT_TIME = 120.0
+"""Seconds that it takes to exchange what lies on the sample stage."""
 
 SimulatedStage = SimulatedSMC100 | SimulatedOrientalAZ | SimulatedOwisPS | SimulatedK10CR1
 
@@ -54,22 +58,32 @@ class Laboratory:
     """For its driver."""
     detector_stage_url: str
     """For its driver."""
-    gain: float
-    """Electrons per count of the QE Pro, as its data sheet would say."""
+    data: BenchData
+    """What its operator believes of the bench; the truth are `bench.imperfections`."""
 
     @property
     def usb_backend(self) -> IBackend:
         """A pyusb backend on which the QE Pro is plugged in."""
         return self.spectrometer
 
+    def mount(self, material: str, spot: int = 0) -> None:
+        """Lay a material on the sample stage as `OpticalBench.mount` does, which takes `MOUNT_TIME`."""
+        self.clock.advance_to(self.clock.now() + MOUNT_TIME)
+        self.bench.mount(material, spot)
+
 
 @contextmanager
-def simulated_laboratory(seed: int, stages: tuple[str, str] = STAGES) -> Iterator[Laboratory]:
+def simulated_laboratory(
+    seed: int, stages: tuple[str, str] = STAGES, imperfections: Imperfections | None = None
+) -> Iterator[Laboratory]:
     """Switch on the simulated devices; they are gone when the context ends.
 
-    The same `seed` gives the same noise and the same positioning errors, whatever happened before. `stages` are the
-    families of the sample and of the detector stage, keys of `FAMILIES`.
+    The same `seed` gives the same noise and the same errors, whatever happened before. `stages` are the families of the
+    sample and of the detector stage, keys of `FAMILIES`. `imperfections` of None are drawn from what the operator
+    states of the bench, without any that depends on time; `IDEAL` is an ideal bench.
     """
+    if imperfections is None:
+        imperfections = drawn(seed, STATED)
     clock = SimulatedClock()
     sample_error, detector_error = (positioning_error(seed, f"{stage} stage") for stage in ("sample", "detector"))
     sample_axis = Axis(
@@ -79,17 +93,22 @@ def simulated_laboratory(seed: int, stages: tuple[str, str] = STAGES) -> Iterato
         limits=(-5.0, 95.0),
         # Errors depend on what is measured and not on time, so that a resumed scan repeats those of a killed one; a
         # move that is made again for another sample or direction has another error, as on a real stage.
-        positioning_error=lambda target: sample_error(target, bench.mounted),
+        positioning_error=lambda target: sample_error(target, bench.mounted, bench.spot),
     )
     detector_axis = Axis(
         clock,
         velocity=30.0,
         acceleration=60.0,
         limits=(-95.0, 180.0),
-        positioning_error=lambda target: detector_error(target, bench.mounted, round(sample_axis.position(), 4)),
+        positioning_error=lambda target: detector_error(
+            target, bench.mounted, bench.spot, round(sample_axis.position(), 4)
+        ),
     )
-    bench = OpticalBench(clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis)
+    bench = OpticalBench(
+        clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis, imperfections=imperfections
+    )
     spectrometer = SimulatedQEPro(bench, clock, serial_number=SERIAL_NUMBER)
+    spectrometer.faults.ripple = imperfections.cooler_ripple
     with ExitStack() as switched_on:
         sample_stage, detector_stage = (
             FAMILIES[family](axis, clock) for family, axis in zip(stages, (sample_axis, detector_axis), strict=True)
@@ -105,5 +124,5 @@ def simulated_laboratory(seed: int, stages: tuple[str, str] = STAGES) -> Iterato
             spectrometer=spectrometer,
             sample_stage_url=sample_stage.start(),
             detector_stage_url=detector_stage.start(),
-            gain=GAIN,
+            data=STATED,
         )

@@ -1,6 +1,8 @@
 """What can lie on the simulated bench, and the BRDF that an ideal detector would see of it."""
 
-from dataclasses import dataclass
+import datetime
+import math
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -9,8 +11,8 @@ from analysis.directions import Aperture, round_aperture, through_aperture
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from analysis.models import LAMBDA_N, cosine_slope, ggx_lobe, theta_m
 from drivers.arrays import FloatArray
+from goniometer.certificate import NOMINAL_SRS99, Certificate
 from goniometer.errors import InputError
-from goniometer.reference import NOMINAL_SRS99, Certificate, reference_brdf
 
 DETECTOR_APERTURE = 1.0
 """Full angle of the detector's round aperture, degrees."""
@@ -18,9 +20,15 @@ DETECTOR_APERTURE = 1.0
 _LONGEST_WAVELENGTH = 1100.0
 """How far the bench carries a conductor beyond the end of its table, nm; the detector ends near 1050 nm."""
 
+_NARROW = 0.05
+"""GGX roughness below which a lobe is narrow against the aperture."""
+
+_AT_ONCE = 64
+"""Points that are computed together: as many as keep the arrays within a processor's cache."""
+
 
 class UnknownMaterial(InputError):
-    """A material that is not in the store room of the bench."""
+    """A material that is not in the store room of the bench, or one that has no BRDF."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +37,7 @@ class Material:
 
     name: str
     alpha: float
-    """GGX roughness."""
+    """GGX roughness, averaged over the disc."""
     h: float
     """Amplitude of the slope of the shift (Eq. 5), 1/um; 0 = no shift."""
     w: float
@@ -42,6 +50,14 @@ class Material:
     """Distance of the nozzle (Table 1), mm; None for the polished disc."""
     abrasive_um: tuple[float, float] | None
     """Smallest and largest diameter of the abrasive beads (Table 1), um; None for the polished disc."""
+    diameter_mm: float = 50.0
+    """Of the disc, mm."""
+    alpha_swing: float = 0.0
+    """How far the roughness departs from `alpha` over the disc; 0 = homogeneous."""
+
+    def alpha_at(self, spot: int) -> float:
+        """GGX roughness where the detector looks: `spot` 0 is the first place, 1 is another, and so on."""
+        return self.alpha + self.alpha_swing * math.sin(math.radians(65.0 * spot - 28.0))
 
 
 @dataclass(frozen=True)
@@ -50,8 +66,23 @@ class Panel:
 
     name: str
     certificate: Certificate
-    """The truth about its 8-degree/hemispherical reflectance."""
+    """Its 8-degree/hemispherical reflectance as certified; a bench may have a panel that departs from it."""
+    diameter_mm: float = 50.0
+    """Of the panel, mm."""
 
+
+@dataclass(frozen=True)
+class Emitter:
+    """What sends back none of the bench's light, and shines by itself or not at all."""
+
+    name: str
+    lines: tuple[tuple[float, float], ...]
+    """Wavelength in air, nm, and strength of each emission line: counts a second, all pixels of the line together."""
+
+
+Mountable = Material | Panel | Emitter
+
+_COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100), diameter_mm=15.0)
 
 SAMPLES = {
     sample.name: sample
@@ -62,26 +93,69 @@ SAMPLES = {
         Material("sample-4", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100)),
         Material("sample-5", 0.113, 0.9, 4.5, 0.52, 1, 100, (70, 100)),
         Material("sample-6", 0.0045, 0.0, 0.0, 0.10, None, None, None),
+        Material("sample-7", 0.275, 1.2, 3.0, 0.66, 1, 200, (35, 35), alpha_swing=0.075),
+        Material("sample-8", 0.100, 0.8, 4.8, 0.43, 1, 200, (70, 100)),
+        _COUPON,
     )
 }
-"""The paper's Samples 1 to 6, of which 6 is the mirror.
+"""The paper's Samples 1 to 8, of which 6 is the mirror and 7 is inhomogeneous, and a small coupon made as Sample 4.
 
 Roughness and preparation are the paper's (Table 1), alpha was fitted to its measurements; h and w are chosen so
-that the slopes are about as large as the paper's, and are not measurements.
+that the slopes are about as large as the paper's, and are not measurements. The coupon is so small that the detector
+looks past it beyond 80 degrees.
 """
 
-SPECTRALON = Panel("spectralon", NOMINAL_SRS99)
+PANEL_CERTIFICATE = replace(
+    NOMINAL_SRS99,
+    serial_number="SIM-SRS-99-01",
+    calibrated=datetime.date(2024, 1, 15),
+    valid_until=datetime.date(2099, 12, 31),
+)
+"""What came with the white panel of the simulated bench."""
+
+SPECTRALON = Panel("spectralon", PANEL_CERTIFICATE)
 """The white reference that the simulated bench owns."""
+
+_LINE_STRENGTH = 1e6
+"""Counts a second of a line of relative strength 1: about 50,000 in its brightest pixel after 0.1 s."""
+
+MERCURY_ARGON = Emitter(
+    "mercury-argon",
+    tuple(
+        (wavelength, strength * _LINE_STRENGTH)
+        for wavelength, strength in (
+            # mercury
+            (253.6517, 0.80), (296.7280, 0.08), (302.1498, 0.04), (312.5668, 0.09), (313.1548, 0.07), (313.1839, 0.07),
+            (334.148, 0.03), (365.0153, 0.40), (365.4836, 0.06), (366.3279, 0.04), (404.6563, 0.45), (407.7837, 0.03),
+            (435.8328, 1.00), (546.0735, 1.00), (576.9598, 0.25), (579.0663, 0.27),
+            # argon
+            (696.5431, 0.30), (706.7218, 0.14), (727.2936, 0.07), (738.3980, 0.17), (750.3869, 0.30), (751.4652, 0.16),
+            (763.5106, 0.55), (772.3761, 0.13), (772.4207, 0.11), (794.8176, 0.16), (800.6157, 0.12), (801.4786, 0.16),
+            (810.3693, 0.19), (811.5311, 0.45), (826.4522, 0.19), (840.8210, 0.18), (842.4648, 0.26), (852.1442, 0.08),
+            (912.2967, 0.22), (922.4499, 0.06), (965.7786, 0.05),
+        )
+    ),
+)  # fmt: skip
+"""A calibration lamp that stands in for the sample.
+
+Wavelengths in air: Sansonetti & Martin, Handbook of Basic Atomic Spectroscopic Data (NIST, J. Phys. Chem. Ref. Data 34
+(2005), 1559); they are rounded where the table has more digits, and lines too weak to be seen are left out. Strengths
+are our judgement of what a pencil lamp looks like through fibre and grating; no two lamps agree about them.
+"""
+
+NOTHING = Emitter("nothing", ())
+"""An empty stage: what is left is stray light."""
 
 _ALIASES = {"mirror": "sample-6"}
 
 
-def material(name: str) -> Material | Panel:
-    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, or "spectralon".
+def material(name: str) -> Mountable:
+    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, "spectralon", "mercury-argon" or "nothing".
 
     Raises `UnknownMaterial`, which lists what there is.
     """
-    known: dict[str, Material | Panel] = {**SAMPLES, SPECTRALON.name: SPECTRALON}
+    others: tuple[Mountable, ...] = (SPECTRALON, MERCURY_ARGON, NOTHING)
+    known: dict[str, Mountable] = {**SAMPLES, **{other.name: other for other in others}}
     found = known.get(_ALIASES.get(name, name))
     if found is None:
         raise UnknownMaterial(f"The simulated bench has no material '{name}'; it has {', '.join([*known, *_ALIASES])}")
@@ -105,65 +179,76 @@ def aluminium_beyond_its_table() -> Conductor:
 
 
 @cache
-def _fine_aperture() -> Aperture:
-    """A rule fine enough for the mirror, whose lobe is 0.1 degrees narrow sideways at grazing incidence.
+def _aperture(full_angle: float, narrow: bool) -> Aperture:
+    """The cheapest rule over a disc of `full_angle` degrees that is exact enough for a lobe, narrow or not.
 
-    Relative error below 3e-7 up to 80 degrees and 4e-4 at 85; the default rule of `round_aperture` errs there by
-    15 and 50 per cent.
+    The mirror's lobe is 0.1 degrees narrow sideways at grazing incidence; for it the relative error is below 3e-7 up to
+    80 degrees and 4e-4 at 85, where the default rule of `round_aperture` errs by 15 and 50 per cent. That one errs by
+    less than 1e-7 for all others.
     """
-    return round_aperture(DETECTOR_APERTURE, rings=24, spokes=96)
+    if full_angle == 0:
+        return round_aperture(0.0, rings=1, spokes=1)
+    return round_aperture(full_angle, rings=24, spokes=96) if narrow else round_aperture(full_angle)
 
 
 def true_brdf(
-    what: Material | Panel, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray
+    what: Mountable,
+    theta_in: FloatArray,
+    theta_out: FloatArray,
+    wavelengths: FloatArray,
+    aperture: float = DETECTOR_APERTURE,
+    spot: int = 0,
 ) -> FloatArray:
     """BRDF averaged over the detector aperture, without any noise, [points, wavelengths], 1/sr.
 
     `theta_in`, `theta_out` [points] in degrees, signed as in `goniometer.geometry`; zero below the horizon.
-    `wavelengths` in nm; raises `OutOfRange` or `CertificateError` where the material has no data. The panel is
-    taken at the centre of the aperture, over which it hardly changes.
+    `wavelengths` in nm. `aperture` is the full angle, degrees, 0 for a detector that is a point; `spot` says where on
+    an inhomogeneous sample it looks. The panel is what its certificate says, at the centre of the aperture, over which
+    it hardly changes. Raises `OutOfRange` or `CertificateError` where the material has no data, and `UnknownMaterial`
+    for a lamp, which has no BRDF.
     """
     value = np.zeros((theta_in.size, wavelengths.size))
-    above = (np.abs(theta_in) < 90) & (np.abs(theta_out) < 90)
-    if isinstance(what, Panel):
+    above = np.flatnonzero((np.abs(theta_in) < 90) & (np.abs(theta_out) < 90))
+    if isinstance(what, Emitter):
+        if what.lines:
+            raise UnknownMaterial(f"'{what.name}' shines by itself and has no BRDF; mount a sample or the panel")
+    elif isinstance(what, Panel):
         # The formula jumps where theta_in changes sign, which no real panel does: a stage that stands at -0.004 degrees
         # instead of 0 must not exchange forward and back.
-        value[above] = reference_brdf(np.abs(theta_in[above]), theta_out[above], wavelengths, what.certificate)
-        return value
-    index = aluminium_beyond_its_table().index(wavelengths)
-    for point in np.flatnonzero(above):
-        value[point] = _metal(what, theta_in[point : point + 1], theta_out[point : point + 1], wavelengths, index)
+        value[above] = what.certificate.brdf(np.abs(theta_in[above]), theta_out[above], wavelengths)
+    else:
+        alpha = what.alpha_at(spot)
+        index = aluminium_beyond_its_table().index(wavelengths)
+        rule = _aperture(aperture, alpha < _NARROW)
+        for start in range(0, above.size, _AT_ONCE):
+            some = above[start : start + _AT_ONCE]
+            value[some] = _metal(what, alpha, theta_in[some], theta_out[some], wavelengths, index, rule)
     return value
 
 
 def _metal(
     metal: Material,
+    alpha: float,
     theta_in: FloatArray,
     theta_out: FloatArray,
     wavelengths: FloatArray,
     index: tuple[FloatArray, FloatArray],
+    aperture: Aperture,
 ) -> FloatArray:
-    """[wavelengths] of one direction, as the sum over aperture nodes of weight x lobe x Fresnel x shift.
+    """[points, wavelengths] sum over aperture nodes of weight x lobe x Fresnel x shift.
 
     Within the aperture Fresnel reflectance is a parabola in the cosine of its angle (through three values, to
     1e-7), and the shift is linear in the slope as long as it is not clamped, which the presets never are (|m| stays
     below 2.2 /um). Then all nodes can be summed before the wavelengths enter.
     """
-    directions = through_aperture(theta_in, theta_out, _fine_aperture())
-    cos_d = directions.cos_d[0]
-    weight = ggx_lobe(directions, metal.alpha)[0] * _fine_aperture().weights
-    slope = cosine_slope(theta_m(directions)[0], metal.h, metal.w)
-    low, high = cos_d.min(), cos_d.max()
-    corners = np.array([low, (low + high) / 2, high])
-    parabolas = np.stack(
-        [
-            (cos_d - corners[(j + 1) % 3])
-            * (cos_d - corners[(j + 2) % 3])
-            / ((corners[j] - corners[(j + 1) % 3]) * (corners[j] - corners[(j + 2) % 3]))
-            for j in range(3)
-        ]
-    )
-    level = parabolas @ weight
-    tilt = parabolas @ (weight * slope)
-    fresnel = fresnel_conductor(corners[:, None], *index)
-    return np.asarray(level @ fresnel + (tilt @ fresnel) * (wavelengths - LAMBDA_N) * 1e-3)
+    directions = through_aperture(theta_in, theta_out, aperture)
+    weight = ggx_lobe(directions, alpha) * aperture.weights
+    slope = cosine_slope(theta_m(directions), metal.h, metal.w)
+    low, high = directions.cos_d.min(axis=1), directions.cos_d.max(axis=1)
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-3)  # a point detector needs a parabola, too
+    x = (directions.cos_d - centre[:, None]) / half[:, None]
+    parabolas = np.stack([x * (x - 1) / 2, 1 - x**2, x * (x + 1) / 2])
+    level, tilt = ((parabolas * of_node).sum(axis=-1)[..., None] for of_node in (weight, weight * slope))
+    corners = centre + half * np.array([[-1.0], [0.0], [1.0]])
+    fresnel = fresnel_conductor(corners[..., None], *index)
+    return np.asarray(((level + tilt * (wavelengths - LAMBDA_N) * 1e-3) * fresnel).sum(axis=0))

@@ -37,6 +37,8 @@ COOLING_TIME_CONSTANT = 15.0
 """Seconds in which the distance to the set point falls to 1/e."""
 STABLE_WITHIN = 0.1
 """Degrees from the set point within which the cooler calls itself stable."""
+RIPPLE_PERIOD = 1000.0
+"""Of the slow sine that a poor controller adds to the temperature, seconds."""
 UNKNOWN_TYPE, WRONG_LENGTH, INVALID_DATA, NOT_READY, NO_SUCH_INFORMATION = 2, 5, 6, 7, 12
 
 
@@ -75,6 +77,8 @@ class QEProFaults:
     """Degrees Celsius below which the cooler cannot bring the detector."""
     offset: float = 0.0
     """Degrees by which the cooler misses its set point."""
+    ripple: float = 0.0
+    """Amplitude, degrees, of a slow wander around the set point, which the cooler itself takes for stable."""
     slowness: float = 1.0
     """How many times longer than asked an acquisition takes."""
     stale_spectra: int = 0
@@ -185,18 +189,23 @@ class SimulatedQEPro(UsbPlug):
     # temperature
 
     def _temperature(self) -> float:
-        """Degrees Celsius; the controller holds it exactly once it is near."""
+        """Degrees Celsius of the detector."""
+        wander = math.sin(2 * math.pi * self._clock.now() / RIPPLE_PERIOD) if self._cooler_on else 0.0
+        return self._controlled() + self.faults.ripple * wander
+
+    def _controlled(self) -> float:
+        """Degrees Celsius without the ripple; the controller holds it exactly once it is near."""
         goal = max(self._set_point + self.faults.offset, self.faults.coldest) if self._cooler_on else ROOM_TEMPERATURE
         fading = math.exp(-(self._clock.now() - self._then) / COOLING_TIME_CONSTANT)
         distance = (self._temperature_then - goal) * fading
         return goal if self._cooler_on and abs(distance) < STABLE_WITHIN else goal + distance
 
     def _set_cooler(self, *, on: bool, set_point: float) -> None:
-        self._temperature_then, self._then = self._temperature(), self._clock.now()
+        self._temperature_then, self._then = self._controlled(), self._clock.now()
         self._cooler_on, self._set_point = on, set_point
 
     def _cooler_is_stable(self) -> bool:
-        return self._cooler_on and abs(self._temperature() - self._set_point) < STABLE_WITHIN
+        return self._cooler_on and abs(self._controlled() - self._set_point) < STABLE_WITHIN
 
     # messages
 

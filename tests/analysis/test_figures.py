@@ -14,7 +14,8 @@ from analysis.noise import at_wavelength
 from analysis.notation import with_uncertainty
 from analysis.results import SampleAnalysis
 from analysis.svg import INK, hex_colour
-from goniometer.dataset import Dataset
+from goniometer.dataset import Dataset, Flag
+from goniometer.uncertainty import ErrorSource
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -76,6 +77,40 @@ def test_every_measured_cell_says_its_angles_and_its_value(rough_analysis: Sampl
     assert wanted + f"f(600 nm) = {with_uncertainty(f[7], u[7])} 1/sr" in titles
 
 
+def test_a_flagged_cell_is_outlined_and_says_for_what(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    flags = dataset.flags.copy()
+    flags[7] = Flag.SATURATED | Flag.NEGATIVE
+    flags[20] = Flag.CLIPPED
+    flagged = replace(dataset, flags=flags)
+
+    def drawn(measured: bool, of: Dataset) -> tuple[list[str], int]:
+        svg = figures.colour_map(of, of.brdf, figures.exposure_of(of), "a", "Map", measured=measured)
+        root = ElementTree.fromstring(svg)
+        titles = [e.text or "" for e in root.iter(f"{SVG}title")]
+        return titles, sum(e.get("stroke-dasharray") is not None for e in root.iter(f"{SVG}rect"))
+
+    titles, outlines = drawn(True, flagged)
+    assert outlines == 2
+    (first,) = [
+        t for t in titles if t.endswith("saturated at the shortest integration time, negative beyond the noise")
+    ]
+    assert first.startswith(f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; f(600 nm) = ")
+    assert sum(t.endswith("footprint leaves the sample") for t in titles) == 1
+    assert drawn(True, dataset)[1] == 0
+    assert drawn(False, flagged)[1] == 0
+
+
+def test_flagged_neighbours_have_one_outline(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    row = np.flatnonzero((dataset.theta_in == 40) & (dataset.theta_out > -40))
+    flags = np.zeros_like(dataset.flags)
+    flags[row] = Flag.BELOW_NOISE
+    flagged = replace(dataset, flags=flags)
+    svg = figures.colour_map(flagged, dataset.brdf, figures.exposure_of(dataset), "a", "Map", measured=True)
+    assert svg.count('stroke-dasharray="2 2"') == 1
+
+
 def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(
     rough_analysis: SampleAnalysis,
 ) -> None:
@@ -107,10 +142,8 @@ def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: Samp
         theta_in=theta_in,
         theta_out=theta_out,
         brdf=brdf,
-        u_random=0.01 * brdf,
-        u_dark=0 * brdf,
-        u_reference=0.01 * brdf,
-        u_reference_dark=0 * brdf,
+        sources=(ErrorSource("random: counts", "random", 0.01 * brdf, None, False),),
+        flags=np.zeros(3, dtype=np.uint16),
     )
     svg = figures.colour_map(small, brdf, figures.Exposure(1.0, 0), "x", "x")
     fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
@@ -136,8 +169,7 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     brdf = dataset.brdf.copy()
     brdf[4, 20:30] = np.nan
     brdf[5] = np.nan
-    u = np.where(np.isnan(brdf), np.nan, dataset.u_random)
-    gap = replace(dataset, brdf=brdf, u_random=u)
+    gap = replace(dataset, brdf=brdf)
     svg = figures.colour_map(gap, brdf, figures.exposure_of(gap), "x", "x")
     assert "#80808026" in svg
     ElementTree.fromstring(figures.distributions(gap, "y"))

@@ -14,7 +14,7 @@ from analysis.fit_json import analysis_to_json, evaluate, fit_from_json, fit_to_
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
 from analysis.results import Parameter, SampleAnalysis, Verdict
-from goniometer.dataset import Dataset
+from goniometer.dataset import Check, Dataset, Flag
 from goniometer.errors import InputError
 
 
@@ -104,8 +104,8 @@ def test_what_is_not_determined_survives_strict_json(rough_analysis: SampleAnaly
         ("[1, 2]", "JSON object"),
         ('{"schema": "something-else"}', '"goniometer-fit"'),
         ('{"schema": "goniometer-fit", "schema_version": 99}', "schema version 99"),
-        ('{"schema": "goniometer-fit", "schema_version": 1}', "is missing"),
-        ('{"schema": "goniometer-fit", "schema_version": 1, "r2": NaN}', "NaN is not JSON"),
+        ('{"schema": "goniometer-fit", "schema_version": 2}', "is missing"),
+        ('{"schema": "goniometer-fit", "schema_version": 2, "r2": NaN}', "NaN is not JSON"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(text: str, complaint: str) -> None:
@@ -119,6 +119,7 @@ def test_a_wrong_file_is_refused_in_one_line(text: str, complaint: str) -> None:
     [
         (("parameters",), 3),
         (("parameters", 0, "value"), "much"),
+        (("parameters", 0, "standard_error_by_part"), 0.1),
         (("correlation",), [[1.0]]),
         (("fitted_to", "theta_in_deg"), [1.0]),
         (("metrics", "dE00"), []),
@@ -145,6 +146,24 @@ def test_the_whole_analysis_is_strict_json_and_holds_every_point_once(rough_anal
     assert local["theta_out_deg"] == rough_analysis.dataset.theta_out.tolist()
     assert local["m_per_um"] == rough_analysis.local.slope.tolist()
     assert {len(v) for v in local.values() if isinstance(v, list)} == {rough_analysis.dataset.theta_in.size}
+
+
+def test_the_whole_analysis_says_what_the_checks_found_and_what_is_flagged(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    flags = dataset.flags.copy()
+    flags[[3, 4]] = Flag.SATURATED
+    checks = (Check("drift", None, "Nobody looked."), Check("energy", False, "It shines."))
+    text = analysis_to_json(
+        replace(rough_analysis, dataset=replace(dataset, flags=flags, checks=checks)), load_conductor()
+    )
+    document = json.loads(text)
+    assert document["dataset"]["checks"] == [
+        {"name": "drift", "passed": None, "message": "Nobody looked."},
+        {"name": "energy", "passed": False, "message": "It shines."},
+    ]
+    assert document["dataset"]["flagged_points"]["saturated at the shortest integration time"] == 2
+    assert sum(document["dataset"]["flagged_points"].values()) == 2
+    assert document["local"]["flags"][3:6] == ["saturated at the shortest integration time"] * 2 + [""]
 
 
 def test_a_blocked_direction_never_leaves_the_house(rough_analysis: SampleAnalysis) -> None:

@@ -13,6 +13,7 @@ from analysis.global_fit import global_fit
 from analysis.local_fit import local_fit, shifted_fresnel
 from analysis.models import cosine_slope
 from goniometer.dataset import Dataset
+from goniometer.uncertainty import ErrorSource, everywhere
 
 THETA_IN, THETA_OUT = (g.ravel() for g in np.meshgrid(np.arange(0.0, 81, 10), np.arange(-80.0, 81, 5), indexing="ij"))
 
@@ -28,14 +29,11 @@ def made(h: float, w: float, t_y: float, p: float, seed: int = 0, shared: float 
         theta_out=THETA_OUT,
         wavelengths=wavelengths,
         brdf=np.ones(shape),
-        u_random=np.ones(shape),
-        u_dark=np.zeros(shape),
-        u_reference=np.zeros(shape),
-        u_reference_dark=np.zeros(shape),
-        integration_time=np.ones(THETA_IN.size),
+        sources=(),
+        flags=np.zeros(THETA_IN.size, dtype=np.uint16),
         u_angle=0.005,
+        u_zero=0.01,
         aperture=1.0,
-        saturated=np.zeros(THETA_IN.size, dtype=bool),
     )
     slope = cosine_slope(0.5 * np.abs(THETA_OUT - THETA_IN), h, w, t_y) + scatter * random.normal(size=THETA_IN.size)
     scale = 10 ** random.uniform(-2, 1, THETA_IN.size)
@@ -45,7 +43,12 @@ def made(h: float, w: float, t_y: float, p: float, seed: int = 0, shared: float 
     brdf = clean + u_random * random.normal(size=shape)
     of_one_angle, of_all = random.normal(size=(group.max() + 1, wavelengths.size)), random.normal(size=wavelengths.size)
     brdf = brdf + u_reference * (of_one_angle[group] + of_all)
-    return replace(empty, brdf=brdf, u_random=u_random, u_reference=u_reference, u_reference_dark=u_reference)
+    sources = (
+        ErrorSource("random: counts", "random", u_random, None, False),
+        ErrorSource("random: counts of the reference", "random", u_reference, group, False),
+        ErrorSource("dark: reference", "dark", u_reference, everywhere(THETA_IN.size), False),
+    )
+    return replace(empty, brdf=brdf, sources=sources)
 
 
 @pytest.mark.parametrize("truth", [(1.6, 2.3, 0.1), (1.2, 3.4, -0.2), (-0.8, 1.2, 0.5), (0.9, 4.5, 0.0)])

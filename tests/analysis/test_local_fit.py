@@ -10,7 +10,8 @@ import pytest
 from analysis.errors import FitError, OutOfRange
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.local_fit import local_fit, local_gain
-from goniometer.dataset import Dataset
+from goniometer.dataset import Dataset, Flag
+from goniometer.uncertainty import ErrorSource
 
 
 def made(slope: np.ndarray, exponent: np.ndarray, scale: np.ndarray, noise: float, seed: int = 3) -> Dataset:
@@ -29,14 +30,14 @@ def made(slope: np.ndarray, exponent: np.ndarray, scale: np.ndarray, noise: floa
         theta_out=np.linspace(-60, 60, points),
         wavelengths=wavelengths,
         brdf=brdf + u * random.normal(size=brdf.shape),
-        u_random=0.8 * u,
-        u_dark=0 * u,
-        u_reference=0.6 * u,
-        u_reference_dark=0 * u,
-        integration_time=np.ones(points),
+        sources=(
+            ErrorSource("random: counts", "random", 0.8 * u, None, False),
+            ErrorSource("dark", "dark", 0.6 * u, np.zeros(points, dtype=np.intp), False),
+        ),
+        flags=np.zeros(points, dtype=np.uint16),
         u_angle=0.005,
+        u_zero=0.01,
         aperture=1.0,
-        saturated=np.zeros(points, dtype=bool),
     )
 
 
@@ -49,7 +50,7 @@ def by_lmfit(dataset: Dataset, point: int) -> tuple[float, float, float, float]:
 
     def residual(p: lmfit.Parameters) -> np.ndarray:
         model = p["a"].value * (1 + p["m"].value * x) * ratio ** p["p"].value
-        return ((dataset.brdf[point] - model) / dataset.u[point])[valid]
+        return ((dataset.brdf[point] - model) / dataset.u_counts[point])[valid]
 
     parameters = lmfit.create_params(a=float(np.nanmedian(dataset.brdf[point])), m=0.0, p=1.0)
     tight = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
@@ -82,6 +83,21 @@ def test_stated_uncertainty_of_the_slope_is_the_scatter_of_repeated_measurements
     assert z.std() == pytest.approx(1, abs=4 / np.sqrt(1200))
 
 
+def test_an_error_that_wavelengths_share_moves_the_slope_as_its_uncertainty_says() -> None:
+    # a certificate that is wrong by 2 %/um tilts every spectrum by 0.02 /um, whatever its own slope is
+    dataset = made(np.array([0.0, 1.0]), np.array([1.0, 1.0]), np.ones(2), 1e-6)
+    tilt = 0.02 * (dataset.wavelengths - 600) * 1e-3 * dataset.brdf
+    scale = 0.1 * dataset.brdf  # and an error of the scale leaves them alone
+    shared = tuple(
+        ErrorSource(name, "reference", values, np.zeros(2, dtype=np.intp), True)
+        for name, values in (("tilt", tilt), ("scale", scale))
+    )
+    fit = local_fit(replace(dataset, sources=dataset.sources + shared))
+    tilted = local_fit(replace(dataset, brdf=dataset.brdf + tilt, sources=dataset.sources + shared))
+    assert fit.u_slope[0] == pytest.approx(0.02, rel=1e-3)
+    np.testing.assert_allclose(fit.u_slope, np.abs(tilted.slope - fit.slope), rtol=0.02)
+
+
 def test_noise_free_spectra_are_reproduced() -> None:
     slope, exponent = np.array([-2.0, -0.5, 0, 1.4]), np.array([1.0, 3.0, 0.5, 6])
     fit = local_fit(made(slope, exponent, np.array([0.01, 1, 30, 0.3]), 1e-9))
@@ -92,11 +108,12 @@ def test_noise_free_spectra_are_reproduced() -> None:
 
 def test_spectra_that_cannot_be_trusted_are_masked() -> None:
     dataset = made(np.ones(6), np.array([1.0, 1, 1, 1, 20, 1]), np.ones(6), 0.01)
-    brdf, u_random, saturated = dataset.brdf.copy(), dataset.u_random.copy(), dataset.saturated.copy()
-    u_random[1] = 3.0  # signal below the noise
+    brdf, noise, flags = dataset.brdf.copy(), dataset.u_counts.copy(), dataset.flags.copy()
+    noise[1] = 3.0  # signal below the noise
     brdf[2, 3:] = np.nan  # hardly anything left
-    saturated[3] = True
-    fit = local_fit(replace(dataset, brdf=brdf, u_random=u_random, saturated=saturated))
+    flags[3] = Flag.SATURATED
+    sources = (ErrorSource("random: counts", "random", noise, None, False),)
+    fit = local_fit(replace(dataset, brdf=brdf, sources=sources, flags=flags))
     np.testing.assert_array_equal(fit.reliable, [True, False, False, False, False, True])
     assert fit.exponent[4] == 15
     assert np.isnan(fit.slope[2])
@@ -105,7 +122,8 @@ def test_spectra_that_cannot_be_trusted_are_masked() -> None:
 def test_pure_noise_is_survived_and_masked() -> None:
     dataset = made(np.zeros(200), np.ones(200), np.ones(200), 0.01)
     noise = np.random.default_rng(5).normal(size=dataset.brdf.shape)
-    fit = local_fit(replace(dataset, brdf=noise, u_random=np.ones_like(noise), u_reference=np.zeros_like(noise)))
+    sources = (ErrorSource("random: counts", "random", np.ones_like(noise), None, False),)
+    fit = local_fit(replace(dataset, brdf=noise, sources=sources))
     assert not fit.reliable.any()
 
 
@@ -120,9 +138,8 @@ def test_gain_is_how_the_slope_answers_to_each_value() -> None:
 
 def test_a_dataset_without_uncertainties_is_refused() -> None:
     dataset = made(np.ones(3), np.ones(3), np.ones(3), 0.01)
-    nothing = np.zeros_like(dataset.brdf)
     with pytest.raises(FitError, match="uncertainty"):
-        local_fit(replace(dataset, u_random=nothing, u_reference=nothing))
+        local_fit(replace(dataset, sources=()))
 
 
 def test_wavelengths_beyond_the_metal_are_refused(measure: Callable[..., Dataset]) -> None:

@@ -12,10 +12,10 @@ import pytest
 from analysis.analyse import analyse
 from analysis.errors import ExportError
 from analysis.export_mitsuba import BsdfReport, RelativeError
-from analysis.notation import with_uncertainty
+from analysis.notation import uncertainty, with_uncertainty
 from analysis.report import RunFacts, report_html, write_report
 from analysis.results import Parameter, SampleAnalysis, Verdict
-from goniometer.dataset import Dataset
+from goniometer.dataset import Check, Dataset, Flag
 
 ERROR = RelativeError(0.0081, 0.0153, 0.0242)
 FACTS = RunFacts(
@@ -118,6 +118,59 @@ def test_the_report_says_what_was_left_out_and_how_good_the_rendering_file_is(pa
     assert "12 min 34 s" in page.text
     assert "0.8 % at the median, by less than 1.5 % in 99 of 100 directions and by 2.4 % at most" in page.text
     assert "SRS-99-010, serial 1234" in page.text
+
+
+def test_what_makes_the_parameters_uncertain_stands_beside_them(page: _Reader, rough_analysis: SampleAnalysis) -> None:
+    assert "What the parameters' uncertainty is made of" in page.text
+    alpha = rough_analysis.model("cook-torrance-shift").parameters[0]
+    for part in ("random", "dark", "angle"):
+        assert uncertainty(alpha.error_by_part[part]) in page.text
+
+
+def test_the_budget_of_the_mirror_direction_nearest_45_degrees_is_shown(page: _Reader) -> None:
+    assert "Uncertainty budget" in page.text
+    assert "θ in = 40.0°, θ out = 40.0°" in page.text
+    assert "expanded, k = 2" in page.text
+
+
+def test_checks_and_flags_are_shown_and_a_failed_one_is_announced_before_anything_else(
+    rough_analysis: SampleAnalysis,
+) -> None:
+    dataset = rough_analysis.dataset
+    flags = dataset.flags.copy()
+    flags[dataset.theta_in == 70] = Flag.CLIPPED
+    checks = (
+        Check("reciprocity", True, "All pairs agree & more."),
+        Check("homogeneity", False, "Another spot is <rougher>."),
+        Check("drift", None, "The lamp was not watched."),
+    )
+    lineage = {"certificate_override": "M. Curie overrode it: the new one is on its way."}
+    html = report_html(
+        replace(rough_analysis, dataset=replace(dataset, flags=flags, checks=checks, lineage=lineage)), FACTS
+    )
+    reader = _Reader()
+    reader.feed(html)
+    assert "✓ passedreciprocityAll pairs agree & more." in reader.text
+    assert "✗ failedhomogeneityAnother spot is <rougher>." in reader.text
+    assert "? not knowndriftThe lamp was not watched." in reader.text
+    count = int(np.sum(dataset.theta_in == 70))
+    assert f"footprint leaves the sample{count} of {flags.size}θ in 70°: θ out" in reader.text
+    assert f"{count} spectra are flagged and take no part in the fits" in reader.text
+    first_picture = html.index("<svg")
+    for warning in ("M. Curie overrode it", "A check of this measurement failed: homogeneity"):
+        assert html.index(warning) < first_picture
+
+
+def test_a_clean_dataset_has_no_warnings_and_says_that_nothing_is_flagged(html: str) -> None:
+    assert "A check of this measurement failed" not in html
+    assert "overridden" not in html
+    assert "No direction is flagged" in html
+
+
+def test_every_expanded_uncertainty_says_its_coverage_factor(page: _Reader) -> None:
+    for found in re.finditer(r"xpanded", page.text):
+        sentence = page.text[found.start() : found.start() + 120]
+        assert "coverage factor" in sentence or "k = 2" in sentence, sentence
 
 
 def test_a_doubtful_fit_is_announced_before_anything_else(rough_analysis: SampleAnalysis) -> None:

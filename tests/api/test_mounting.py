@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from api.cli import ask_to_mount
+from api.terminal import ask_to_mount
 from goniometer.errors import RunAborted
 from goniometer.records import Scan
 

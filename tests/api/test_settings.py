@@ -3,6 +3,7 @@
 import asyncio
 import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from api.settings import FAMILIES, InstrumentSettings, load_instrument, make_sta
 from drivers.clock import WallClock
 from drivers.errors import DeviceNotFound
 from drivers.stage import Mounting
+from goniometer.constants import BenchData
 from goniometer.errors import ConfigurationError
 from simulators.clock import SimulatedClock
 from simulators.motion import Axis
@@ -112,6 +114,8 @@ WRONG = {
     BENCH + "[[forbidden]]\nsample = [1, 2]\ndetector = [2, 1]\n": "forbidden[0].detector: [2, 1] is no range",
     BENCH + "[spectrometer]\ngain = 0\n": "spectrometer.gain: 0 is not possible",
     BENCH + "[spectrometer]\ngian = 1\n": "spectrometer.gian: unknown key; did you mean gain?",
+    BENCH + "[light]\nu_lamp = -1\n": "light.u_lamp: -1 is not possible",
+    BENCH + "[light]\nu_lamb = 1\n": "light.u_lamb: unknown key; did you mean u_lamp?",
     "": "stages: this key is missing",
     "stages = 3": "stages: 3 is not possible",
     "[stages]\nsample = 3\ndetector = 3": "stages.sample",
@@ -190,3 +194,19 @@ def test_a_serial_number_that_is_not_plugged_in_is_answered_with_those_that_are(
     assert list(errors) == ["sample stage"]
     for word in ("sample stage: ", "A10K", "B22 at /dev/ttyUSB7"):
         assert word in str(errors["sample stage"])
+
+
+def test_every_figure_of_the_bench_in_the_file_reaches_calibration_and_is_left_at_its_default_without(
+    tmp_path: Path,
+) -> None:
+    assert loaded(tmp_path, BENCH).bench_data == BenchData() == load_instrument(SHOWN).bench_data
+    values = {each.name: round(0.01 * (number + 1), 2) for number, each in enumerate(fields(BenchData))}
+    tables = {
+        "geometry": ("aperture", "u_aperture", "field_of_view", "u_field_of_view", "u_angle", "u_zero"),
+        "spectrometer": ("gain", "u_nonlinearity", "wavelength_offset", "u_wavelength"),
+        "light": ("u_lamp", "u_stray_light"),
+    }
+    text = BENCH
+    for table, names in tables.items():
+        text += f"[{table}]\n" + "".join(f"{name} = {values[name]}\n" for name in names)
+    assert loaded(tmp_path, text).bench_data == BenchData(**values)

@@ -91,7 +91,7 @@ def bench(seed: int, stages: tuple[str, str] = STAGES) -> Iterator[tuple[Laborat
                 spectrometer,
                 QEProLight(spectrometer),
                 clock,
-                gain=laboratory.gain,
+                data=laboratory.data,
             ),
         )
 

@@ -9,19 +9,18 @@ import numpy as np
 from drivers.arrays import CountArray, FloatArray
 from goniometer.campaign import Campaign
 from goniometer.exposure import ladder
-from goniometer.geometry import Geometry, from_stages
-from goniometer.plan import next_points, plan_spec, reference_points
+from goniometer.geometry import Geometry
+from goniometer.plan import monitor_direction, next_points, plan_spec, reference_points
 from goniometer.records import Exposure, Point, Scan
 from goniometer.store import Store
-from simulators.bench import FULL_SCALE, GAIN, READ_NOISE, OpticalBench, _as_read, dark_rate, positioning_error
+from simulators.bench import FULL_SCALE, GAIN, READ_NOISE, STATED, OpticalBench, positioning_error
 from simulators.clock import SimulatedClock
+from simulators.imperfections import drawn
 
 AT_PLAN = 0.02
 """Degrees between the planned angle of a stage and the one read back."""
 COLD = -10.0
 """Degrees Celsius of the detector."""
-STEPS = 10_000
-"""Steps per degree to which the bench counts an angle as the same."""
 
 
 class _Standing:
@@ -40,7 +39,13 @@ class Truth:
 
     def __init__(self, seed: int) -> None:
         self._axes = _Standing(0.0), _Standing(0.0)
-        self._bench = OpticalBench(SimulatedClock(), seed=seed, sample_axis=self._axes[0], detector_axis=self._axes[1])
+        self._bench = OpticalBench(
+            SimulatedClock(),
+            seed=seed,
+            sample_axis=self._axes[0],
+            detector_axis=self._axes[1],
+            imperfections=drawn(seed, STATED),
+        )
         self._errors = positioning_error(seed, "sample stage"), positioning_error(seed, "detector stage")
 
     def mount(self, material: str) -> None:
@@ -50,16 +55,16 @@ class Truth:
     def light(self, geometry: Geometry) -> FloatArray:
         """[pixels] counts a second with the stages sent to `geometry`, the errors of their positions included."""
         sample, detector = round(geometry.sample_angle, 4), round(geometry.detector_angle, 4)
-        mounted = self._bench.mounted
-        true_sample = sample + self._errors[0](sample, mounted)
-        true_detector = detector + self._errors[1](detector, mounted, sample)
-        return self._bench._light(from_stages(round(true_sample * STEPS) / STEPS, round(true_detector * STEPS) / STEPS))
+        on_stage = self._bench.mounted, self._bench.spot
+        self._axes[0].angle = sample + self._errors[0](sample, *on_stage)
+        self._axes[1].angle = detector + self._errors[1](detector, *on_stage, sample)
+        return self._bench.light(self._bench.geometry())
 
     def deviation(self, counts: CountArray, integration_time: float, light: FloatArray | float) -> float:
         """How many standard deviations the worst pixel of a spectrum is off; 0 where it is rightly saturated."""
-        dark = integration_time * dark_rate(COLD) * self._bench._dark_pattern
+        dark = integration_time * self._bench.dark_current(COLD)
         bright = np.broadcast_to(np.asarray(integration_time * light), dark.shape)
-        expected = _as_read(bright) + dark + self._bench._offset
+        expected = self._bench.as_read(bright) + dark + self._bench._offset
         noise = np.sqrt((bright + dark) / GAIN + READ_NOISE**2 + 1 / 12)
         off = np.abs(counts - np.minimum(expected, FULL_SCALE)) / noise
         return float(np.max(np.where((counts == FULL_SCALE) & (expected > FULL_SCALE), 0.0, off)))
@@ -88,13 +93,26 @@ def wrong(store: Store, scan: Scan, truth: Truth, *, sigma: float = 6.0) -> list
         scans = campaign.reference.scans if of_reference else campaign.integration.scans
         if len(mine) != (scans if point.status == "done" else 0):
             faults.append(where(point.geometry, f"is {point.status} and has {len(mine)} exposures instead of {scans}"))
-    for dark in exposures.pop(None, []):
-        if dark.integration_time not in ladder(campaign.integration):
-            faults.append(f"{scan.sample}: a dark of {dark.integration_time:g} s, which nobody asks for")
-        off = truth.deviation(dark.counts, dark.integration_time, 0.0)
+    for other in exposures.pop(None, []):
+        if other.integration_time not in ladder(campaign.integration):
+            faults.append(f"{scan.sample}: {other.kind} of {other.integration_time:g} s, which nobody asks for")
+        off = truth.deviation(other.counts, other.integration_time, _light_of(other, campaign, truth))
         if off > sigma:
-            faults.append(f"{scan.sample}: a dark of {dark.integration_time:g} s is {off:.1f} standard deviations off")
+            faults.append(
+                f"{scan.sample}: {other.kind} of {other.integration_time:g} s is {off:.1f} standard deviations off"
+            )
     return faults + [f"{scan.sample}: exposures of no point" for _ in exposures]
+
+
+def _light_of(exposure: Exposure, campaign: Campaign, truth: Truth) -> FloatArray | float:
+    """[pixels] counts a second that an exposure of no point should show."""
+    stood = exposure.geometry
+    if stood is None:
+        return 0.0
+    if exposure.kind == "monitor":
+        return truth.light(monitor_direction(plan_spec(campaign)))
+    theta_in = min(campaign.theta_in, key=lambda t: abs(t - stood.theta_in))
+    return truth.light(Geometry(theta_in, -theta_in))
 
 
 def lost(store: Store, scan: Scan) -> list[str]:

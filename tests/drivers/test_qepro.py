@@ -24,6 +24,7 @@ from drivers.qepro_wire import Gpio, TriggerMode
 from simulators.bench import OpticalBench
 from simulators.clock import SimulatedClock
 from simulators.faults import FaultScript
+from simulators.imperfections import Imperfections
 from simulators.qepro import SimulatedQEPro
 
 
@@ -329,7 +330,9 @@ def test_a_sequence_is_what_repeated_exposures_would_have_been() -> None:
 
     def spectra(take: Callable[[QEPro], Awaitable[list[Spectrum]]]) -> np.ndarray:
         clock = SimulatedClock()
-        optics = OpticalBench(clock, seed=3, sample_axis=Still(), detector_axis=Still(), lamp_drift=0.1)
+        optics = OpticalBench(
+            clock, seed=3, sample_axis=Still(), detector_axis=Still(), imperfections=Imperfections(lamp_drift=0.1)
+        )
         optics.mount("spectralon")
         spectrometer = QEPro("spectrometer", clock, usb_backend=SimulatedQEPro(optics, clock))
 

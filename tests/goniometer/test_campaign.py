@@ -62,6 +62,19 @@ def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
         (SMALLEST + "integration: {maximum: .inf}", ["integration.maximum", "finite"]),
         (SMALLEST + "integration: {minimum: 40}", ["integration", "40 s", "30 s"]),
         (SMALLEST + "integration: {fill: 2}", ["integration.fill", "0.95"]),
+        (SMALLEST + "integration: {signal_to_noise: 0}", ["integration.signal_to_noise", "greater than 0"]),
+        (SMALLEST + "integration: {exposures: 4}", ["integration.exposures", "3"]),
+        (SMALLEST + "integration: {minimum: 0.1, time_limit: 50 ms}", ["integration", "0.1 s", "time_limit (0.05 s)"]),
+        (SMALLEST + "monitor: {every: 0}", ["monitor.every", "greater than 0"]),
+        (SMALLEST + "monitor: {evry: 5 min}", ["monitor.evry", 'did you mean "every"']),
+        (SMALLEST + "homogeneity: {points: 0}", ["homogeneity.points", "1"]),
+        (SMALLEST + "reference: {override: {name: A. Smith}}", ["reference.override.reason", "missing"]),
+        (
+            SMALLEST + "reference: {override: {name: A. Smith, reason: ' '}}",
+            ["reference.override.reason", "at least 1"],
+        ),
+        (SMALLEST + "reference: {diameter: 0 mm}", ["reference.diameter", "greater than 0"]),
+        ("name: a\nsamples: [{name: s, material: m, diameter: 2 in}]", ["samples[0].diameter", '"in"', "mm, cm"]),
         (SMALLEST + "resolution: {minimum_step: 20}", ["resolution", "minimum_step", "coarse_step"]),
         (SMALLEST + "resolutoin: {}", ["resolutoin", 'did you mean "resolution"']),
         (SMALLEST + "name: b", ["line 4", '"name" is given twice']),
@@ -103,6 +116,36 @@ def test_a_certificate_that_moved_to_another_folder_does_not_forbid_a_resume(tmp
     with_certificate = load(tmp_path, SMALLEST + "reference: {certificate: panel.csv}")
     assert with_certificate.reference.certificate == str(tmp_path / "panel.csv")
     assert with_certificate.hash == load(tmp_path, SMALLEST).hash
+
+
+def test_who_overrides_a_certificate_may_be_decided_when_all_is_measured(tmp_path):
+    overridden = load(tmp_path, SMALLEST + "reference: {override: {name: ' A. Smith ', reason: It is on its way.}}")
+    assert (overridden.reference.override.name, overridden.reference.override.reason) == (
+        "A. Smith",
+        "It is on its way.",
+    )
+    assert overridden.hash == load(tmp_path, SMALLEST).hash
+
+
+def test_what_is_measured_beside_the_points_is_part_of_the_campaign(tmp_path):
+    campaign = load(tmp_path, SMALLEST)
+    assert (campaign.stray_light, campaign.monitor.every, campaign.homogeneity) == (True, 600.0, None)
+    without = load(tmp_path, SMALLEST + "monitor: null\n")
+    assert without.monitor is None
+    changes = (
+        "monitor: {every: 5 min}",
+        "stray_light: false",
+        "homogeneity: {}",
+        "integration: {signal_to_noise: 100}",
+    )
+    hashes = {load(tmp_path, SMALLEST + change).hash for change in changes}
+    assert len(hashes | {campaign.hash, without.hash}) == len(changes) + 2
+
+
+def test_a_sample_has_a_diameter_so_that_a_footprint_can_leave_it(tmp_path):
+    campaign = load(tmp_path, "name: a\nsamples: [{name: s, material: m, diameter: 2.5 cm}, {name: t, material: m}]")
+    assert [sample.diameter for sample in campaign.samples] == [25.0, 50.0]
+    assert campaign.reference.diameter == 50.0
 
 
 def test_a_range_that_touches_the_blocked_sector_is_measured_at_its_edge(tmp_path):

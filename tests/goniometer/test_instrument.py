@@ -19,7 +19,6 @@ from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.safety import Forbidden
-from simulators.bench import GAIN
 from simulators.clock import SimulatedClock
 from simulators.faults import Fault, FaultScript, Kind
 from simulators.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
@@ -80,7 +79,7 @@ def make(laboratory, spectrometer=None, **options):
         spectrometer(qepro) if spectrometer else qepro,
         QEProLight(qepro),
         clock,
-        gain=GAIN,
+        data=laboratory.data,
         **options,
     )
 
@@ -153,6 +152,23 @@ def test_the_arm_goes_around_a_forbidden_region_on_its_way(laboratory):
     assert len(seen) > 100
     assert not any(20.0 < sample < 45.0 and -30.0 < detector < 70.0 for sample, detector in seen)
     assert any(sample > 45 for sample, _ in seen)
+
+
+def test_only_for_stray_light_the_detector_stands_before_the_source(laboratory):
+    async def work(instrument):
+        await instrument.goto(Geometry(60.0, 30.0))
+        with pytest.raises(GeometryError, match="in the beam"):
+            await instrument.goto(Geometry(30.0, -30.0))
+        read = await instrument.face_source(30.0)
+        assert (read.theta_in, read.detector_angle) == pytest.approx((30.0, 0.0), abs=0.01)
+        assert axes(laboratory)[1].position() == pytest.approx(0.0, abs=0.01)
+        instrument.forbidden = (Forbidden(sample=(55.0, 90.0), detector=(-3.0, 3.0)),)
+        with pytest.raises(GeometryError, match="forbidden region"):
+            await instrument.face_source(60.0)
+        with pytest.raises(GeometryError, match="outside -5 to 90"):
+            await instrument.face_source(95.0)
+
+    on_bench(laboratory, work)
 
 
 def test_a_bench_whose_marks_lie_where_the_arm_must_not_be_is_not_opened(laboratory):
@@ -246,15 +262,13 @@ class Wrong:
 
 @pytest.mark.parametrize("reading", [30.2, 29.8, 0.0, float("nan")])
 def test_a_read_back_that_is_not_where_the_stage_was_sent_is_never_stored(reading):
-    instrument = Instrument(Wrong(0.0, reading), Wrong(0.0, 40.0), None, None, SimulatedClock(), gain=GAIN)
+    instrument = Instrument(Wrong(0.0, reading), Wrong(0.0, 40.0), None, None, SimulatedClock())
     with pytest.raises(DeviceFault, match=r"where it was sent to 30\.000"):
         asyncio.run(instrument.goto(Geometry(30.0, 10.0)))
 
 
 def test_a_stage_that_reads_two_angles_at_rest_is_not_believed():
-    instrument = Instrument(
-        Wrong(0.0, 30.0, 30.0, 30.05), Wrong(0.0, 40.0, 40.0, 50.0), None, None, SimulatedClock(), gain=GAIN
-    )
+    instrument = Instrument(Wrong(0.0, 30.0, 30.0, 30.05), Wrong(0.0, 40.0, 40.0, 50.0), None, None, SimulatedClock())
 
     async def work():
         await instrument.goto(Geometry(30.0, 10.0))

@@ -15,7 +15,6 @@ from goniometer.errors import RunAborted
 from goniometer.instrument import RECOVERY_PAUSES, Instrument
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
-from simulators.bench import GAIN
 from simulators.clock import SimulatedClock
 from simulators.faults import FaultScript
 from simulators.laboratory import simulated_laboratory
@@ -64,7 +63,7 @@ async def bench():
             spectrometer,
             QEProLight(spectrometer),
             clock,
-            gain=GAIN,
+            data=laboratory.data,
         )
         await instrument.open()
         try:

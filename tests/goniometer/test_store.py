@@ -11,14 +11,16 @@ import pytest
 from sqlalchemy import Engine, event
 
 from drivers.interfaces import Spectrum
-from goniometer.calibration import certificate_of, read_raw
-from goniometer.campaign import Campaign, Reference, Sample
-from goniometer.dataset import Dataset
+from goniometer.calibration import certificate_of
+from goniometer.campaign import Campaign, Homogeneity, Override, Reference, Sample
+from goniometer.certificate import NOMINAL_SRS99
+from goniometer.constants import BenchData, Constants
+from goniometer.dataset import Check, Dataset, Flag
 from goniometer.errors import CampaignError, NotInStore, StoreBusy, StoreError, StoreFull
 from goniometer.geometry import Geometry
-from goniometer.instrument import Constants
-from goniometer.reference import NOMINAL_SRS99
+from goniometer.raw import read_raw
 from goniometer.store import Store
+from goniometer.uncertainty import ErrorSource, everywhere
 
 CAMPAIGN = Campaign(
     name="First light", samples=(Sample(name="Rough", material="sample-1"), Sample(name="Mirror", material="sample-6"))
@@ -29,9 +31,7 @@ CONSTANTS = Constants(
     np.linspace(250, 1050, 1044) / 3,
     np.array([0.998, 5e-8]),
     200_000,
-    5.0,
-    0.005,
-    1.0,
+    BenchData(),
 )
 
 
@@ -65,12 +65,16 @@ def dataset():
         np.array([-3.0, 1 / 3, 5]),
         np.array([400.0, 500, 600, 700]),
         brdf,
-        *(random.random(shape) for _ in range(4)),
-        np.array([0.008, 1, 30]),
-        0.005,
-        1.0,
-        np.array([False, True, False]),
-        {"scan": 2, "exposures": [1, 2]},
+        (
+            ErrorSource("counts", "random", random.random(shape), None, False),
+            ErrorSource("reference: certificate", "reference", random.random(shape), everywhere(3), True),
+        ),
+        np.array([0, Flag.SATURATED | Flag.NEGATIVE, 0], dtype=np.uint16),
+        u_angle=0.005,
+        u_zero=0.01,
+        aperture=1.0,
+        checks=(Check("energy", True, "The reflectance is at most 0.91."),),
+        lineage={"scan": 2, "exposures": [1, 2]},
     )
 
 
@@ -105,6 +109,27 @@ def test_a_campaign_that_has_measured_nothing_gives_way_to_its_correction(store)
     assert [s.sample for s in store.scans(campaign_id)] == ["reference", "Rough"]
     assert sorted(store.campaigns().values()) == ["First light", "Other"]
     assert len(store.scans(other_id)) == 3
+
+
+def test_the_scan_of_another_spot_follows_its_sample(store):
+    campaign_id = store.add_campaign(CAMPAIGN.model_copy(update={"homogeneity": Homogeneity()}))
+    assert [(s.number, s.kind, s.sample, s.material) for s in store.scans(campaign_id)] == [
+        (0, "reference", "reference", "spectralon"),
+        (1, "sample", "Rough", "sample-1"),
+        (2, "spot", "Rough", "sample-1"),
+        (3, "sample", "Mirror", "sample-6"),
+        (4, "spot", "Mirror", "sample-6"),
+    ]
+
+
+def test_somebody_may_answer_for_a_certificate_that_expired_while_a_campaign_was_measured(store):
+    campaign_id = store.add_campaign(CAMPAIGN)
+    first_point(store)
+    override = Override(name="A. Smith", reason="The panel is away for calibration.")
+    answered = CAMPAIGN.model_copy(update={"reference": Reference(override=override)})
+    assert store.add_campaign(answered) == campaign_id
+    assert store.campaign(campaign_id).reference.override == override
+    assert len(store.scans()) == 3
 
 
 def certified(tmp_path, reflectance):
@@ -143,20 +168,23 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
     store.save_constants(scan_id, CONSTANTS)
     light, dark = [spectrum(1), spectrum(2)], [spectrum(3), spectrum(4)]
     store.start_point(point.id)
-    store.add_darks(scan_id, dark)
-    store.finish_point(point, Geometry(10.003, -30.004), light, 12.5)
+    store.add_exposures(scan_id, "dark", dark, 3.0)
+    store.finish_point(point, Geometry(10.003, -30.004), light, 7.25, 12.5, "too dark")
     store.close()
 
     reopened = Store.open(tmp_path / "bench.db")
     raw = read_raw(reopened, scan_id)
     assert raw.planned == (Geometry(10.0, -30.0),)
     assert raw.read_back == (Geometry(10.003, -30.004),)
-    assert np.array_equal(raw.counts[0], [s.counts for s in light])
-    assert np.array_equal(raw.darks[0.1], [s.counts for s in dark])
+    (shot,), (taken,) = raw.shots, raw.darks
+    assert np.array_equal(shot.counts, [s.counts for s in light])
+    assert (shot.geometry, shot.integration_time, shot.moment, shot.point) == (raw.read_back[0], 0.1, 7.25, 0)
+    assert np.array_equal(taken.counts, [s.counts for s in dark])
+    assert (taken.integration_time, taken.temperature) == (0.1, -10.0)
     assert np.array_equal(raw.constants.wavelengths, CONSTANTS.wavelengths)
     assert (raw.constants.spectrometer, raw.constants.stages) == (CONSTANTS.spectrometer, CONSTANTS.stages)
     done, waiting = reopened.points(scan_id)
-    assert (done.status, done.attempts, done.seconds) == ("done", 1, 12.5)
+    assert (done.status, done.attempts, done.seconds, done.reason) == ("done", 1, 12.5, "too dark")
     assert (waiting.status, waiting.read_back) == ("pending", None)
     reopened.close()
 
@@ -164,7 +192,7 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
 def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, tmp_path):
     scan_id, point = first_point(store)
     store.start_point(point.id)
-    store.finish_point(point, point.geometry, [spectrum()], 1.0)
+    store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
     dataset_id = store.add_dataset(scan_id, dataset())
     store.add_fit(dataset_id, "global", "{}")
     other = sqlite3.connect(tmp_path / "bench.db")
@@ -185,9 +213,11 @@ def test_a_dataset_comes_back_bit_for_bit_and_a_second_one_stands_beside_it(stor
     first, second = store.add_dataset(scan_id, before), store.add_dataset(scan_id, before)
     after = store.dataset(first)
     assert after.content_hash == before.content_hash
-    assert np.array_equal(after.saturated, before.saturated)
-    assert after.lineage == before.lineage
-    assert (after.u_angle, after.aperture, after.sample) == (0.005, 1.0, "Rough")
+    assert np.array_equal(after.flags, before.flags)
+    assert after.flags.dtype == before.flags.dtype
+    assert np.array_equal(after.u, before.u, equal_nan=True)
+    assert (after.lineage, after.checks) == (before.lineage, before.checks)
+    assert (after.u_angle, after.u_zero, after.aperture, after.sample) == (0.005, 0.01, 1.0, "Rough")
     assert store.datasets(scan_id) == {first: scan_id, second: scan_id}
 
 
@@ -214,8 +244,9 @@ def test_another_spectrometer_in_the_middle_of_a_scan_is_refused_and_another_sta
     store.save_constants(scan_id, replace(CONSTANTS, stages={"sample stage": "another"}))
     with pytest.raises(StoreError, match="another spectrometer"):
         store.save_constants(scan_id, replace(CONSTANTS, spectrometer="QE Pro QEP00002"))
-    with pytest.raises(StoreError, match="another gain and wavelengths"):
-        store.save_constants(scan_id, replace(CONSTANTS, gain=1.0, wavelengths=CONSTANTS.wavelengths + 1e-12))
+    other = replace(CONSTANTS, bench=BenchData(gain=1.0), wavelengths=CONSTANTS.wavelengths + 1e-12)
+    with pytest.raises(StoreError, match="another bench and wavelengths"):
+        store.save_constants(scan_id, other)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +254,7 @@ def test_another_spectrometer_in_the_middle_of_a_scan_is_refused_and_another_sta
     [
         ({"spectrometer": "QE Pro QEP00002"}, "another spectrometer"),
         ({"nonlinearity": np.array([1.0])}, "another nonlinearity"),
-        ({"u_angle": 0.1, "aperture": 2.0}, "another aperture and u angle"),
+        ({"bench": BenchData(u_angle=0.1)}, "another bench"),
     ],
 )
 def test_a_sample_is_not_measured_with_another_bench_than_the_reference(store, change, words):
@@ -275,9 +306,9 @@ def test_a_scan_whose_process_was_killed_does_not_stay_running_for_ever(store):
 def test_a_point_that_another_process_has_finished_is_not_written_twice(store):
     scan_id, point = first_point(store)
     store.start_point(point.id)
-    store.finish_point(point, point.geometry, [spectrum(1)], 1.0)
+    store.finish_point(point, point.geometry, [spectrum(1)], 0.0, 1.0)
     with pytest.raises(StoreError, match="not being measured"):
-        store.finish_point(point, point.geometry, [spectrum(2)], 1.0)
+        store.finish_point(point, point.geometry, [spectrum(2)], 0.0, 1.0)
     assert [e.counts.tolist() for e in store.exposures(scan_id)] == [spectrum(1).counts.tolist()]
 
 
@@ -431,7 +462,7 @@ def test_a_missing_folder_and_a_wrong_address_are_named(tmp_path):
 
 def fill(store, scan_id):
     for seed in range(1000):
-        store.add_darks(scan_id, [spectrum(seed)])
+        store.add_exposures(scan_id, "dark", [spectrum(seed)], 0.0)
 
 
 def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_path):
@@ -443,7 +474,7 @@ def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_p
         store = Store.open(tmp_path / "bench.db")
         scan_id, point = first_point(store)
         store.start_point(point.id)
-        store.finish_point(point, point.geometry, [spectrum()], 1.0)
+        store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
         with pytest.raises(StoreFull, match="no room left"):
             fill(store, scan_id)
         assert store.points(scan_id)[0].status == "done"
@@ -463,7 +494,7 @@ def test_a_point_and_its_exposures_are_written_together_or_not_at_all(tmp_path):
         scan_id, point = first_point(store)
         store.start_point(point.id)
         with pytest.raises(StoreFull):
-            store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], 1.0)
+            store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], 0.0, 1.0)
         assert store.points(scan_id)[0].status == "running"
         assert store.exposures(scan_id) == []
         store.close()
@@ -489,7 +520,7 @@ def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
     store.start_point(point.id)
     reader.execute("BEGIN")
     assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
-    store.finish_point(point, point.geometry, [spectrum()], 1.0)
+    store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
     assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
     reader.execute("COMMIT")
     assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]

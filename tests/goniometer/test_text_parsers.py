@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from api.settings import load_instrument
 from goniometer.campaign import load_campaign
+from goniometer.certificate import Certificate
+from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.errors import CampaignError, CertificateError, ConfigurationError, GoniometerError
-from goniometer.reference import parse_certificate, read_certificate
 from tests.bombarded import bombarded
 
 SHOWN = Path(__file__).parents[2] / "docs"
@@ -199,10 +200,24 @@ wavelength_nm,reflectance,standard_uncertainty
 700,0.988,0.003
 1000,0.990,0.004
 """
+TABLE = """# serial_number: 99AA-1
+# calibrated: never
+theta_in,theta_out,wavelength_nm,brdf,standard_uncertainty
+0,-60,400,0.30,0.003
+0,60,400,0.31,0.003
+0,-60,800,0.32,0.003
+0,60,800,0.33,0.003
+50,-60,400,0.34,0.003
+50,60,400,0.35,0.003
+50,-60,800,0.36,0.003
+50,60,800,0.37,0.003
+"""
 cells = st.sampled_from(["nan", "inf", "-1", "0", "1e999", "", "0.5", "1_0", "\u0663", "9" * 5000, "x", "1e-400"])
 certificates = st.one_of(
     spoilt(CERTIFICATE, "0123456789.,-+einfa#: \n\r\x0b_"),
+    spoilt(TABLE, "0123456789.,-+einfa#: \t\n\r\x0b_"),
     st.builds(lambda row: CERTIFICATE + ",".join(row) + "\n", st.lists(cells, max_size=4)),
+    st.builds(lambda row: TABLE + ",".join(row) + "\n", st.lists(cells, max_size=6)),
     st.builds(
         lambda day: CERTIFICATE.replace("2024-02-29", day),
         st.one_of(st.text(max_size=10), st.from_regex(r"\A\d{4}-\d\d-\d\d\Z")),
@@ -224,6 +239,12 @@ def test_any_certificate_is_a_certificate_or_refused_in_one_line(file: Path, con
         assert certificate is not None
         assert 0 < certificate.wavelengths[0] < math.inf
         assert (certificate.wavelengths[1:] > certificate.wavelengths[:-1]).all()
-        assert ((certificate.reflectance_8h > 0) & (certificate.reflectance_8h <= 1.05)).all()
-        assert ((certificate.u_reflectance >= 0) & (certificate.u_reflectance < 1)).all()
-        assert certificate.calibrated is not None
+        if isinstance(certificate, Certificate):
+            assert ((certificate.reflectance_8h > 0) & (certificate.reflectance_8h <= 1.05)).all()
+            assert ((certificate.u_reflectance >= 0) & (certificate.u_reflectance < 1)).all()
+        else:
+            assert ((certificate.values > 0) & (certificate.values < math.inf)).all()
+            assert ((certificate.u_values >= 0) & (certificate.u_values < certificate.values)).all()
+        assert (certificate.calibrated is None) == (certificate.valid_until is None)
+        text = certificate_csv(certificate)
+        assert certificate_csv(parse_certificate(text, str(file))) == text

@@ -9,9 +9,12 @@ from analysis.directions import in_plane, round_aperture, through_aperture
 from analysis.errors import OutOfRange
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
-from goniometer.reference import NOMINAL_SRS99, reference_brdf
+from goniometer.certificate import NOMINAL_SRS99
 from simulators.materials import (
     DETECTOR_APERTURE,
+    MERCURY_ARGON,
+    NOTHING,
+    PANEL_CERTIFICATE,
     SAMPLES,
     SPECTRALON,
     Material,
@@ -31,7 +34,7 @@ def brute_force(what: Material, theta_in: float, theta_out: float, wavelengths: 
     return np.asarray(np.einsum("nw,n->w", value[0], aperture.weights))
 
 
-@pytest.mark.parametrize("name", ["sample-1", "sample-5", "sample-6"])
+@pytest.mark.parametrize("name", ["sample-1", "sample-5", "sample-6", "sample-8"])
 @pytest.mark.parametrize(("theta_in", "theta_out"), [(10, 10.4), (30, -60), (60, 60), (80, 80.3), (0, 84.8)])
 def test_the_truth_behind_a_demo_is_the_full_model_and_not_a_short_cut(
     name: str, theta_in: float, theta_out: float
@@ -75,8 +78,50 @@ def test_the_panel_on_the_bench_is_the_nominal_reference() -> None:
     theta_in, theta_out, wavelengths = np.array([0.0, 30]), np.array([45.0, -60]), np.array([400.0, 600])
     np.testing.assert_array_equal(
         true_brdf(SPECTRALON, theta_in, theta_out, wavelengths),
-        reference_brdf(theta_in, theta_out, wavelengths, NOMINAL_SRS99),
+        NOMINAL_SRS99.brdf(theta_in, theta_out, wavelengths),
     )
+
+
+def test_the_panel_has_a_certificate_of_its_own_with_the_values_of_a_clean_one() -> None:
+    assert SPECTRALON.certificate is PANEL_CERTIFICATE
+    assert PANEL_CERTIFICATE.serial_number == "SIM-SRS-99-01"
+    assert (str(PANEL_CERTIFICATE.calibrated), str(PANEL_CERTIFICATE.valid_until)) == ("2024-01-15", "2099-12-31")
+
+
+@pytest.mark.parametrize(
+    ("name", "spot", "alpha"), [("sample-4", 0, 0.18), ("sample-4", 3, 0.18), ("mirror", 0, 0.0045)]
+)
+def test_a_point_detector_sees_the_model_itself(name: str, spot: int, alpha: float) -> None:
+    what = material(name)
+    theta_in, theta_out, wavelengths = np.array([20.0, 60]), np.array([21.0, 60]), np.array([400.0, 600, 990])
+    point = cook_torrance(in_plane(theta_in, theta_out), wavelengths, alpha, load_conductor(), what.h, what.w)
+    np.testing.assert_allclose(true_brdf(what, theta_in, theta_out, wavelengths, 0.0, spot), point, rtol=1e-6)
+
+
+def test_many_points_at_once_are_what_each_is_alone() -> None:
+    theta_in, wavelengths = np.linspace(0, 80, 150), np.array([300.0, 600, 1040])
+    theta_out = theta_in[::-1] - 20
+    together = true_brdf(SAMPLES["sample-3"], theta_in, theta_out, wavelengths)
+    for point in (0, 63, 64, 149):
+        some = slice(point, point + 1)
+        alone = true_brdf(SAMPLES["sample-3"], theta_in[some], theta_out[some], wavelengths)
+        np.testing.assert_allclose(together[some], alone, rtol=1e-12)
+
+
+def test_sample_7_is_rough_in_another_way_at_each_spot_and_no_other_sample_is() -> None:
+    alphas = np.array([SAMPLES["sample-7"].alpha_at(spot) for spot in range(12)])
+    assert np.all((alphas >= 0.20) & (alphas <= 0.35))
+    assert alphas[:2] == pytest.approx([0.24, 0.32], abs=0.005)
+    assert np.abs(alphas[1:4] - alphas[0]).min() > 0.05
+    others = [sample for name, sample in SAMPLES.items() if name != "sample-7"]
+    assert all(sample.alpha_at(spot) == sample.alpha for sample in others for spot in range(12))
+
+
+def test_a_lamp_has_no_brdf_and_an_empty_stage_sends_nothing_back() -> None:
+    angles, wavelengths = (np.array([10.0]), np.array([20.0])), np.array([600.0])
+    with pytest.raises(UnknownMaterial, match="'mercury-argon' shines by itself"):
+        true_brdf(MERCURY_ARGON, *angles, wavelengths)
+    np.testing.assert_array_equal(true_brdf(NOTHING, *angles, wavelengths), 0)
 
 
 @pytest.mark.parametrize("name", ["sample-2", "spectralon"])
@@ -86,7 +131,7 @@ def test_nothing_shines_below_the_horizon(name: str) -> None:
 
 
 def test_a_misspelt_material_is_answered_with_the_list_of_what_there_is() -> None:
-    with pytest.raises(UnknownMaterial, match=r"'sample_1'.* sample-1, .*sample-6, spectralon, mirror"):
+    with pytest.raises(UnknownMaterial, match=r"'sample_1'.* sample-1, .*sample-6, .*spectralon, .*mirror"):
         material("sample_1")
     assert material("mirror") is MIRROR
 

@@ -179,3 +179,13 @@ def test_an_uncooled_sensor_is_read_out_at_its_own_temperature(clock: SimulatedC
         clock.advance_to(clock.now() + 200)
         payload = talk(simulator, 0x00100928, size=8192).payload
         assert struct.unpack_from("<L", payload, 32)[0] == expected
+
+
+def test_a_poor_cooler_wanders_around_its_set_point_and_calls_that_stable(clock: SimulatedClock) -> None:
+    simulator = SimulatedQEPro(Ramp(), clock)
+    simulator.faults.ripple = 0.4
+    talk(simulator, 0x00420010, b"\x01")
+    for moment, expected in ((250.0, -9.6), (500.0, -10.0), (750.0, -10.4)):
+        clock.advance_to(moment)
+        assert struct.unpack("<f", talk(simulator, 0x00420004).payload)[0] == pytest.approx(expected, abs=1e-4)
+        assert talk(simulator, 0x00420003).payload == b"\x01"

@@ -1,0 +1,97 @@
+"""The chapters of a report that show the measurement: its colours, its distributions, its wavelength shift."""
+
+import numpy as np
+
+from analysis import figures
+from analysis.page import figure
+from analysis.results import ModelFit, SampleAnalysis
+
+
+def measured_chapter(analysis: SampleAnalysis) -> str:
+    """What was measured: maps, distributions, spectra."""
+    dataset, local = analysis.dataset, analysis.local
+    exposure = figures.exposure_of(dataset)
+    clipped = f"; {exposure.clipped} cells are brighter than the display and clipped" if exposure.clipped else ""
+    maps = [
+        figures.colour_map(dataset, dataset.brdf, exposure, "measured", "As bright as measured", measured=True),
+        figures.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
+    ]
+    return (
+        "<h2>What was measured</h2>"
+        + figure(
+            maps,
+            "Each cell is one measured spectrum, shown in its own colour under daylight (D65, BT.709; exposure "
+            f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the lamp; there the "
+            "detector blocks the light (hatched). Empty places were not measured; on the right, pale cells are too "
+            "dark to have a hue. Point at a cell for its angles and its BRDF, with its combined standard uncertainty "
+            "(coverage factor 1) in brackets. A dashed outline marks a flagged cell; pointing at it says for what.",
+        )
+        + '<div class="pair"><div><h3>Where the light goes</h3>'
+        + figure(
+            [figures.distributions(dataset, "distributions")],
+            "BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are measurements. Bands are "
+            f"expanded uncertainties (coverage factor {figures.COVERAGE}) and mostly thinner than the lines. Lines "
+            "break where the detector blocks the source.",
+        )
+        + "</div><div><h3>How its colour changes</h3>"
+        + figure(
+            [figures.spectra(dataset, local, "spectra")],
+            "Spectra from backward (negative) to forward, each divided by its value at "
+            f"{local.lambda_n:g} nm. Rising to the right means reddish, falling bluish. Bands: measurement with the "
+            f"expanded uncertainty of its counts (coverage factor {figures.COVERAGE}), without the errors that "
+            "wavelengths share; lines: the local fit.",
+        )
+        + "</div></div>"
+    )
+
+
+def shift_chapter(analysis: SampleAnalysis) -> str:
+    """The slopes of the spectra and the global model of them."""
+    dataset, local = analysis.dataset, analysis.local
+    fit = analysis.model("global")
+    reliable = int(local.reliable.sum())
+    good = int(np.sum(local.r2[local.reliable] > 0.9))
+    return (
+        "<h2>The wavelength shift</h2>"
+        "<p>A smooth metal colours light only through its Fresnel reflectance. On a rough one every spectrum is tilted "
+        "on top of that, along a straight line: diffraction. The <em>slope</em> m of this line is fitted to every "
+        f"spectrum on its own (local fit); m = 1 /µm means that the reflectance rises by 10 % from {local.lambda_n:g} "
+        f"to {local.lambda_n + 100:g} nm. {reliable} of {local.reliable.size} spectra give a reliable slope; the fit "
+        f"explains more than 90 % of the variation (r² &gt; 0.9) in {good} of these.</p>"
+        + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2)
+        + figure(
+            figures.slopes(dataset, local, fit, "slopes"),
+            "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
+            f"{figures.COVERAGE}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
+            "directions, θm = |θ out − θ in| / 2. Grey: blocked by the detector.",
+            "three",
+        )
+    )
+
+
+def _slope_in_words(fit: ModelFit, largest: float) -> str:
+    """What the cosine says up to theta_m = `largest`, degrees, for a trusted fit."""
+    if not fit.verdict.trusted:
+        return "<p>For this sample one cosine does not describe the slopes; see the verdict above.</p>"
+    h, w, t_y = fit.value("h"), fit.value("w"), fit.value("t_y")
+    mirror = h + t_y
+    words = (
+        f"<p>In the mirror direction the slope is {mirror:+.2f} /µm, so the reflection is "
+        f"{'reddish' if mirror > 0 else 'bluish'} there".replace("-", "−")
+    )
+    zeros = _zeros(h, w, t_y, largest)
+    if not zeros:
+        return f"{words}, and it keeps that hue over all measured directions.</p>"
+    hues = ("bluish", "reddish") if mirror > 0 else ("reddish", "bluish")
+    turns = ", ".join(f"{hues[i % 2]} beyond θm = {zero:.0f}°" for i, zero in enumerate(zeros))
+    return f"{words}; it turns {turns}.</p>"
+
+
+def _zeros(h: float, w: float, t_y: float, largest: float) -> list[float]:
+    """Angles theta_m up to `largest`, degrees, at which h cos(w theta_m) + t_y changes its sign, ascending."""
+    if h == 0 or abs(t_y / h) >= 1 or w <= 0:
+        return []
+    first = np.arccos(-t_y / h)
+    turns = np.arange(int(np.radians(largest) * w / (2 * np.pi)) + 1) * 2 * np.pi
+    zeros = np.degrees(np.sort(np.concatenate([turns + first, turns + 2 * np.pi - first])) / w)
+    return [float(zero) for zero in zeros if zero < largest]

@@ -1,0 +1,164 @@
+"""The chapter of a report that says what the fitted models are worth."""
+
+from html import escape
+
+import numpy as np
+
+from analysis import figures
+from analysis.identify import lobe_width
+from analysis.notation import roughly, uncertainty, with_uncertainty
+from analysis.page import figure
+from analysis.results import SampleAnalysis
+from goniometer.uncertainty import PARTS
+
+MODEL_NAMES = {
+    "local": "Local fit",
+    "global": "Global model",
+    "cook-torrance": "Cook-Torrance",
+    "cook-torrance-shift": "Cook-Torrance with shift",
+}
+
+_UNIT = {"1": "", "1/um": "/µm"}
+"""How a person reads the unit of a parameter."""
+
+_MEANING = {
+    "alpha": "roughness of the surface (GGX)",
+    "h": "height of the slope's cosine",
+    "w": "how fast the slope changes with θm",
+    "t_y": "slope that all directions share",
+    "p": "exponent of the Fresnel term: how often light was reflected",
+}
+
+
+def models_chapter(analysis: SampleAnalysis) -> str:
+    """Colour differences, parameters and their uncertainty, and the fits beside the measurement."""
+    dataset = analysis.dataset
+    exposure = figures.exposure_of(dataset)
+    plain, shifted = analysis.model("cook-torrance"), analysis.model("cook-torrance-shift")
+    pictures = [
+        figures.colour_map(dataset, plain.fitted, exposure, "ct", "Cook-Torrance"),
+        figures.colour_map(dataset, dataset.brdf, exposure, "measured-again", "Measured", measured=True),
+        figures.colour_map(dataset, shifted.fitted, exposure, "cts", "Cook-Torrance with shift"),
+    ]
+    shown = {
+        "local": ("chromatic", "Local fit, hue"),
+        "global": ("chromatic", "Global model, hue"),
+        "cook-torrance": ("absolute", "Cook-Torrance"),
+        "cook-torrance-shift": ("absolute", "Cook-Torrance with shift"),
+    }
+    values = {name: getattr(analysis.differences[name], kind) for name, (kind, _) in shown.items()}
+    largest = max(1.0, *(float(np.nanpercentile(v, 99)) for v in values.values()))
+    maps = [
+        figures.difference_map(
+            dataset,
+            values[name],
+            largest,
+            f"difference-{name}",
+            f"{title}: mean {analysis.differences[name].statistics(kind)['mean']:.2f}",
+        )
+        for name, (kind, title) in shown.items()
+    ]
+    return (
+        "<h2>What the models say</h2>"
+        "<p>Cook-Torrance describes a rough surface as tiny mirrors that point in all directions around the normal. "
+        "One number, the roughness alpha, says how widely: here the lobe is "
+        f"{lobe_width(shifted.value('alpha')):.2g}° wide (full width at half maximum). With shift, the same model is "
+        "multiplied by the straight line of the chapter above, whose slope is h cos(w θm).</p>"
+        + _difference_table(analysis)
+        + _parameter_table(analysis)
+        + _error_table(analysis)
+        + "<h3>Fits beside the measurement</h3>"
+        + figure(pictures, "Colours as in the first picture, with the same exposure.", "three")
+        + "<h3>How far off the fits are</h3>"
+        + f'<div class="scale">{figures.difference_scale(largest, "scale")}</div>'
+        + figure(
+            maps,
+            "Colour difference CIEDE2000 between fit and measurement, cell by cell, all on one scale. The local and "
+            "global fits describe the hue only and are compared after dividing both spectra by their value at "
+            f"{analysis.local.lambda_n:g} nm; the Cook-Torrance fits are compared as they are.",
+        )
+    )
+
+
+def _difference_table(analysis: SampleAnalysis) -> str:
+    means = {n: [d.statistics(k)["mean"] for k in ("absolute", "chromatic")] for n, d in analysis.differences.items()}
+    rows = []
+    for name in ("cook-torrance", "cook-torrance-shift", "global", "local"):
+        statistics = analysis.differences[name].statistics("absolute")
+        cells = [*means[name], statistics["median"], statistics["p95"], statistics["max"]]
+        # the local fit and the global model take their brightness from the measurement
+        best = name == min(("cook-torrance", "cook-torrance-shift"), key=lambda n: means[n][0])
+        rows.append(
+            f"<tr{' class=best' if best else ''}><td>{MODEL_NAMES[name]}</td>"
+            + "".join(f'<td class="number">{value:.2f}</td>' for value in cells)
+            + "</tr>"
+        )
+    counts = [analysis.differences["cook-torrance"].statistics(kind)["count"] for kind in ("absolute", "chromatic")]
+    head = "".join(f'<th class="number">{t}</th>' for t in ("mean", "mean, hue only", "median", "95 %", "largest"))
+    return (
+        "<h3>Mean colour difference to the measurement</h3>"
+        f'<div class="wide"><table><thead><tr><th>model</th>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
+        f"<caption>CIEDE2000 over {counts[0]} measured directions; 1 is just noticeable. Values compare cos(θ in) × "
+        "BRDF under D65, white being 1; “hue only” compares spectra divided by their value at "
+        f"{analysis.local.lambda_n:g} nm, where they stand clear of their noise ({counts[1]} directions). The global "
+        "model and the local fit take their brightness from the measurement, so only their hue is a test.</caption>"
+        "</table></div>"
+    )
+
+
+def _parameter_table(analysis: SampleAnalysis) -> str:
+    rows = []
+    for fit in analysis.models:
+        first = (
+            f'<td rowspan="{len(fit.parameters)}">{MODEL_NAMES[fit.model]}<br>'
+            f'<span class="soft">{escape(fit.equation)}</span></td>'
+        )
+        for parameter in fit.parameters:
+            unit = "" if parameter.unit == "1" else f" {_UNIT[parameter.unit]}"
+            trusted = fit.verdict.trusted
+            value = with_uncertainty(parameter.value, parameter.standard_error) if trusted else roughly(parameter.value)
+            rows.append(
+                f"<tr>{first}<td><code>{escape(parameter.name)}</code></td>"
+                f'<td class="number">{value}{escape(unit)}</td><td>{_MEANING.get(parameter.name, "")}</td></tr>'
+            )
+            first = ""
+    return (
+        "<h3>Parameters</h3>"
+        '<div class="wide"><table><thead><tr><th>model</th><th>parameter</th><th class="number">value</th>'
+        f"<th>meaning</th></tr></thead><tbody>{''.join(rows)}</tbody>"
+        "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from all errors "
+        "of the measurement, each shared by those points and wavelengths that share it. A value with ≈ belongs to a "
+        "fit that is not to be trusted.</caption></table></div>"
+    )
+
+
+def _error_table(analysis: SampleAnalysis) -> str:
+    """What each part of the budget gives to the standard errors of the trusted fits."""
+    fits = [fit for fit in analysis.models if fit.verdict.trusted]
+    found = {part for fit in fits for parameter in fit.parameters for part in parameter.error_by_part}
+    parts = [part for part in PARTS if part in found]
+    if not parts:
+        return ""
+    rows = []
+    for fit in fits:
+        first = f'<td rowspan="{len(fit.parameters)}">{MODEL_NAMES[fit.model]}</td>'
+        for parameter in fit.parameters:
+            largest = max(parameter.error_by_part.values(), default=0.0)
+            cells = []
+            for part in parts:
+                error = parameter.error_by_part.get(part, 0.0)
+                most = " most" if 0 < error == largest else ""
+                shown = uncertainty(error) if error >= 1e-3 * parameter.standard_error else "–"
+                cells.append(f'<td class="number{most}">{shown}</td>')
+            unit = "" if parameter.unit == "1" else f" in {_UNIT[parameter.unit]}"
+            rows.append(f"<tr>{first}<td><code>{escape(parameter.name)}</code>{unit}</td>{''.join(cells)}</tr>")
+            first = ""
+    head = "".join(f'<th class="number">{part}</th>' for part in parts)
+    return (
+        "<h3>What the parameters' uncertainty is made of</h3>"
+        f'<div class="wide"><table><thead><tr><th>model</th><th>parameter</th>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody>"
+        "<caption>Standard uncertainty (coverage factor 1) that each part of the budget gives to a parameter, in the "
+        "parameter's unit; the root of the sum of their squares stands in brackets above. Bold: the largest; –: below "
+        "a thousandth of the whole.</caption></table></div>"
+    )

@@ -1,0 +1,28 @@
+"""What the commands of the command line have in common: their arguments, and how they answer."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from analysis.fit_json import strict_json
+from goniometer.errors import InputError
+from goniometer.store import Store
+
+DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
+DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+DATABASE = Path("goniometer.db")
+
+
+def emit(content: dict[str, Any]) -> None:
+    """Print one JSON object on stdout, strict as the files are."""
+    sys.stdout.write(strict_json(content))
+
+
+def existing(database: Path) -> Store:
+    """The database, which must be there: a command that only reads makes no empty one."""
+    if "://" not in str(database) and not database.exists():
+        raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
+    return Store.open(database)

@@ -1,0 +1,183 @@
+"""How good a dataset is: its sanity checks, its uncertainty budget, and calibrating it anew from the same raw data."""
+
+import hashlib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+
+from analysis.budget_figure import budget_page, budget_panels, share_in_words, side_by_side
+from api.derive import Export, write_text
+from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
+from goniometer.calibration import calibrate_scan
+from goniometer.certificate import Override
+from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.dataset import LEFT_OUT, MEANING, Check, Dataset, Flag
+from goniometer.errors import InputError
+from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
+from goniometer.store import Store
+
+MARKS = {True: "✓", False: "✗", None: "?"}
+"""Of a check that passed, that failed, and of one that the data cannot answer."""
+
+
+def flag_counts(dataset: Dataset) -> list[dict[str, Any]]:
+    """Every flag that occurs: what it means, how many points have it, and what the fits do with them."""
+    counts = {flag: int(dataset.flagged(flag).sum()) for flag in Flag}
+    return [
+        {
+            "flag": str(flag.name).lower().replace("_", " "),
+            "meaning": MEANING[flag],
+            "points": count,
+            "in_fits": "left out" if flag in LEFT_OUT else "weighted by their uncertainty",
+        }
+        for flag, count in counts.items()
+        if count
+    ]
+
+
+def quality(dataset_id: int, dataset: Dataset) -> dict[str, Any]:
+    """Checks and flags of a dataset, as JSON content; `passed` is false where any check failed."""
+    return {
+        "dataset": dataset_id,
+        "sample": dataset.sample,
+        "passed": all(check.passed is not False for check in dataset.checks),
+        "checks": [asdict(check) for check in dataset.checks],
+        "points": dataset.theta_in.size,
+        "flags": flag_counts(dataset),
+        "certificate_override": dataset.lineage.get("certificate_override"),
+    }
+
+
+def quality_lines(found: dict[str, Any]) -> list[str]:
+    """The result of `quality` as lines for a person."""
+    lines = [f"Dataset {found['dataset']}, {found['sample']}"]
+    if found["certificate_override"]:
+        lines.append(f"! {found['certificate_override']}")
+    lines += [check_line(Check(**check)) for check in found["checks"]]
+    lines += [
+        f"{each['points']} of {found['points']} points: {each['meaning']} ({each['in_fits']} in the fits)"
+        for each in found["flags"]
+    ]
+    return lines if found["flags"] else [*lines, f"No flag on any of the {found['points']} points"]
+
+
+def check_line(check: Check) -> str:
+    """A check as one line."""
+    return f"{MARKS[check.passed]} {check.name}: {check.message}"
+
+
+def dataset_budget(
+    dataset: Dataset, theta_in: float | None, theta_out: float | None, wavelength: float | None
+) -> Budget:
+    """The budget at a direction (degrees) and wavelength (nm).
+
+    What is not given is the incident angle nearest 45 degrees, the mirror direction, and 600 nm. Raises what
+    `goniometer.budget.budget` raises.
+    """
+    incident = usual_direction(dataset)[0] if theta_in is None else theta_in
+    reflected = incident if theta_out is None else theta_out
+    return budget(dataset, incident, reflected, USUAL_WAVELENGTH if wavelength is None else wavelength)
+
+
+def budget_content(dataset_id: int, found: Budget) -> dict[str, Any]:
+    """A budget as JSON content."""
+    return {
+        "dataset": dataset_id,
+        **asdict(found),
+        "units": {"angles": "deg", "wavelength": "nm", "brdf": "1/sr", "u": "1/sr"},
+        "expanded_uncertainty": found.expanded,
+        "coverage_factor": COVERAGE_FACTOR,
+        "coverage": COVERAGE,
+    }
+
+
+def budget_rows(found: Budget) -> Table:
+    """A budget as a table for a terminal."""
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("Source of error")
+    for head in ("u (k = 1)\nin 1/sr", "relative", "of the\nvariance"):
+        shown.add_column(head, justify="right", no_wrap=True)
+    shown.add_column("the same for")
+    for part in found.parts:
+        single = _short(part.sources[0].shared) if len(part.sources) == 1 else ""
+        shown.add_row(part.name, *_numbers(part.u, part.relative), share_in_words(part.share), single)
+        if not single:
+            for source in part.sources:
+                cells = *_numbers(source.u, source.relative), share_in_words(source.share), _short(source.shared)
+                shown.add_row(f"  {source.name.removeprefix(f'{part.name}: ')}", *cells, style="dim")
+    shown.add_section()
+    shown.add_row("combined (k = 1)", *_numbers(found.u, found.u / found.brdf), "", "")
+    expanded = _numbers(found.expanded, found.expanded / found.brdf)
+    shown.add_row(f"expanded (k = {COVERAGE_FACTOR})", *expanded, "", "", style="bold")
+    return shown
+
+
+def _short(shared: str) -> str:
+    return shared.replace("wavelengths", "λ")
+
+
+def budget_lines(dataset_id: int, found: Budget) -> list[str]:
+    """What stands above and below the table of a budget."""
+    return [
+        f"Dataset {dataset_id}, {found.sample}: measured at θ in = {found.theta_in:.2f}°, "
+        f"θ out = {found.theta_out:.2f}°, {found.wavelength:.1f} nm".replace("-", "−"),
+        f"f = {found.brdf:.5g} 1/sr ± {found.expanded:.2g} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE})",
+    ]
+
+
+def _numbers(u: float, relative: float) -> tuple[str, str]:
+    part = f"{100 * abs(relative):.2g} %" if abs(relative) >= 1e-4 else "< 0.01 %"
+    return f"{u:.2g}".replace("-", "−"), part
+
+
+def write_budget(dataset: Dataset, found: Budget, path: Path) -> Export:
+    """Write the plots of a budget as SVG, or with its table as HTML, by the ending of `path`.
+
+    Raises `InputError` for another ending and `StoreFull` where the disk refuses.
+    """
+    panels = budget_panels(dataset, found.theta_in, found.theta_out, found.wavelength)
+    if path.suffix == ".svg":
+        return write_text("svg", path, side_by_side(panels))
+    if path.suffix == ".html":
+        return write_text("html", path, budget_page(found, panels))
+    raise InputError(f'A budget cannot be drawn to "{path}"; end its name in .svg or .html.')
+
+
+def settings_of(without: list[str], also: list[str]) -> Settings:
+    """The standard calibration without some corrections, and with others that it leaves out.
+
+    Raises `InputError` for what is no correction.
+    """
+    for name in [*without, *also]:
+        if name not in CORRECTIONS:
+            raise InputError(f'There is no correction "{name}"; there are {", ".join(CORRECTIONS)}.')
+    if contrary := set(without) & set(also):
+        raise InputError(f'The correction "{min(contrary)}" is asked for both with and without; decide on one.')
+    return Settings(corrections=(DEFAULT_CORRECTIONS - set(without)) | set(also))
+
+
+def recalibrate(
+    store: Store, dataset_id: int, certificate: Path | None, settings: Settings, override: Override | None
+) -> int:
+    """Calibrate the raw data of a dataset anew and write the result beside it; returns the id of the new dataset.
+
+    `certificate` is the CSV file of a certificate, None for that of the campaign. Raises `NotInStore` where there is
+    no such dataset, `CertificateError` where the certificate cannot be used, and `CalibrationError`.
+    """
+    store.dataset(dataset_id)  # refuses where there is none
+    scan_id = store.datasets()[dataset_id]
+    given: dict[str, object] = {}
+    panel = None
+    if certificate is not None:
+        text = read_certificate(certificate)
+        panel = parse_certificate(text, str(certificate))
+        given = {
+            "certificate_file": str(certificate.resolve()),
+            "certificate_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        }
+    dataset = calibrate_scan(store, scan_id, settings, panel, override)
+    lineage = dataset.lineage | given | {"recalibrated_from": dataset_id}
+    return store.add_dataset(scan_id, replace(dataset, lineage=lineage))

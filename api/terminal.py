@@ -1,0 +1,77 @@
+"""The person at the terminal: what is asked of them, and how the signals that end a process end it properly."""
+
+import asyncio
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+from rich.console import Console
+
+from goniometer.errors import RunAborted
+from goniometer.records import Scan
+
+Result = TypeVar("Result")
+screen = Console(stderr=True)
+"""For progress and messages; results go to stdout."""
+
+
+async def ask_to_mount(scan: Scan) -> None:
+    """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
+    what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
+    await confirm(f"{what} is mounted", f"Mount {what}, check that it lies flat against the holder, and press Enter.")
+
+
+async def confirm(state: str, request: str) -> None:
+    """Print `request` and return when Enter is pressed; `RunAborted` without a terminal, as nobody confirms `state`."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise RunAborted(f"Nobody can confirm that {state}, as there is no terminal; run this from one.")
+    _forget_typed_ahead()
+    screen.print(request, markup=False, highlight=False)
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[str] = loop.create_future()
+
+    def deliver(line: str) -> None:
+        if not answer.done():
+            answer.set_result(line)
+
+    def read() -> None:
+        line = ""
+        with contextlib.suppress(OSError):  # a terminal that has gone says nothing any more
+            line = sys.stdin.readline()
+        with contextlib.suppress(RuntimeError):  # the run that asked is over and its loop closed
+            loop.call_soon_threadsafe(deliver, line)
+
+    # A daemon, because nothing can end a thread that waits for a key, and an abort must not wait for it.
+    threading.Thread(target=read, daemon=True).start()
+    if not await answer:
+        raise RunAborted(f"Nobody can confirm that {state}, as the terminal was closed; run this again.")
+
+
+def _forget_typed_ahead() -> None:
+    """Throw away keys that were pressed before the question was asked: they are no answer to it."""
+    if sys.platform == "win32":
+        import msvcrt  # noqa: PLC0415  (exists on Windows only)
+
+        while msvcrt.kbhit():
+            msvcrt.getch()
+    else:
+        import termios  # noqa: PLC0415  (exists elsewhere only)
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
+def wait(work: Coroutine[Any, Any, Result]) -> Result:
+    """Do `work`; the signals that end a process end it properly, with the bench made safe."""
+
+    async def guarded() -> Result:
+        task = asyncio.current_task()
+        assert task is not None  # this is one
+        for name in ("SIGTERM", "SIGHUP"):
+            with contextlib.suppress(AttributeError, NotImplementedError):  # Windows has no such signals
+                asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)
+        return await work
+
+    return asyncio.run(guarded())

@@ -1,0 +1,159 @@
+"""What a scan needs beside its points: dark signals, stray light, and a look at the lamp again and again.
+
+Whether something is missing is read from the database and from the clock of the bench, so that a resumed scan takes
+what an uninterrupted one would have. Only the monitors are bound to time: every run of a scan begins and ends with one,
+as nobody knows what the lamp did in between.
+"""
+
+import logging
+from collections.abc import Awaitable, Callable, Sequence
+
+import numpy as np
+
+from drivers.arrays import CountArray
+from drivers.interfaces import Spectrum
+from goniometer.campaign import Campaign
+from goniometer.errors import GeometryError
+from goniometer.exposure import DarkSignal, detector_of, take
+from goniometer.geometry import Geometry
+from goniometer.instrument import ARRIVAL, Instrument
+from goniometer.plan import monitor_direction, plan_spec
+from goniometer.raw import Dark, RawScan
+from goniometer.safety import safe_path
+from goniometer.store import Store
+
+DARKS = 4
+"""Dark spectra of each integration time and temperature."""
+
+DARK_TEMPERATURE = 0.3
+"""Degrees Celsius of the detector within which a dark is reused. Dark current doubles every 6 degrees or so, thus
+changes by 3.5 %: of the 120 counts that it gives in 30 s at -10 degrees 4 counts, less than one read-out is uncertain.
+"""
+
+STRAY_SCANS = 2
+"""Spectra of stray light at each incident angle."""
+
+log = logging.getLogger(__name__)
+
+
+class Darks:
+    """The dark signals of one scan, by integration time."""
+
+    def __init__(self, store: Store, scan_id: int, instrument: Instrument, stored: Sequence[Dark]) -> None:
+        self._store = store
+        self._scan_id = scan_id
+        self._instrument = instrument
+        self._sets: dict[float, list[DarkSignal]] = {}
+        for dark in stored:
+            self._sets.setdefault(dark.integration_time, []).append(_signal(dark.counts, dark.temperature))
+
+    def stored(self, integration_time: float, temperature: float) -> DarkSignal:
+        """The first dark signal of this time, s, and temperature, degrees Celsius, else the nearest; there must be one.
+
+        The first, and not the nearest: a set that is taken later must not change what an earlier point looked like.
+        """
+        sets = self._sets[integration_time]
+        valid = (dark for dark in sets if abs(dark.temperature - temperature) <= DARK_TEMPERATURE)
+        return next(valid, min(sets, key=lambda dark: abs(dark.temperature - temperature)))
+
+    async def of(self, integration_time: float, temperature: float) -> DarkSignal:
+        """The dark signal of this time, s, and temperature, degrees Celsius; taken and written where none is valid."""
+        sets = self._sets.setdefault(integration_time, [])
+        if any(abs(dark.temperature - temperature) <= DARK_TEMPERATURE for dark in sets):
+            return self.stored(integration_time, temperature)
+        began = self._instrument.clock.now()
+        spectra = [await self._instrument.dark(integration_time) for _ in range(DARKS)]
+        self._store.add_exposures(self._scan_id, "dark", spectra, (began + self._instrument.clock.now()) / 2)
+        counts = np.stack([s.counts for s in spectra])
+        sets.append(_signal(counts, float(np.mean([s.detector_temperature for s in spectra]))))
+        return sets[-1]
+
+
+def _signal(counts: CountArray, temperature: float) -> DarkSignal:
+    return DarkSignal(np.asarray(counts.mean(axis=0)), float(counts.var(axis=0, ddof=1).mean()), temperature)
+
+
+class Auxiliary:
+    """Stray light and monitors of one run of a scan, of which `raw` holds what earlier runs have taken."""
+
+    def __init__(self, store: Store, instrument: Instrument, campaign: Campaign, raw: RawScan, darks: Darks) -> None:
+        self._store = store
+        self._scan_id = raw.scan_id
+        self._instrument = instrument
+        self._campaign = campaign
+        self._detector = detector_of(raw.constants)
+        self._darks = darks
+        self._direction = monitor_direction(plan_spec(campaign))
+        self._settled = {shot.geometry.theta_in for shot in raw.stray}
+        self._monitor_time = raw.monitors[0].integration_time if raw.monitors else None
+        self._looked: float | None = None  # when this run looked at the lamp, on the clock of the bench
+
+    async def before(self, point: Geometry) -> None:
+        """Take what is due before `point` is measured. Raises `DriverError`.
+
+        What the arm cannot reach, or from where it could not go on to the point, is left out with a warning.
+        """
+        monitor = self._campaign.monitor
+        now = self._instrument.clock.now()
+        if monitor is not None and (self._looked is None or now - self._looked >= monitor.every):
+            await self._look_at_lamp(point)
+        if self._campaign.stray_light and not any(abs(point.theta_in - t) <= ARRIVAL for t in self._settled):
+            await self._take_stray(point)
+
+    async def closing(self) -> None:
+        """Look at the lamp once more after the last point. Raises `DriverError`."""
+        if self._campaign.monitor is not None:
+            await self._look_at_lamp(self._direction)
+
+    async def _look_at_lamp(self, onward: Geometry) -> None:
+        """One spectrum in the fixed direction, of the integration time of the first one of this scan."""
+        instrument = self._instrument
+        here = await self._reach("the lamp is not monitored", instrument.goto, self._direction, onward)
+        if here is None:
+            self._looked = instrument.clock.now()  # not again at the next point
+            return
+        if self._monitor_time is None:
+            policy = self._campaign.integration.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
+            taken = await take(instrument, self._detector, policy, None, self._darks.of)
+            spectra, moment = taken.spectra, taken.moment
+        else:
+            spectra = [await instrument.expose(self._monitor_time)]
+            moment = instrument.clock.now() - self._monitor_time / 2
+            await self._has_dark(spectra)
+        self._store.add_exposures(self._scan_id, "monitor", spectra, moment, here)
+        self._monitor_time = spectra[0].integration_time
+        self._looked = instrument.clock.now()
+
+    async def _take_stray(self, point: Geometry) -> None:
+        """`STRAY_SCANS` spectra of the longest integration time with the detector in front of the source."""
+        instrument = self._instrument
+        time = self._campaign.integration.maximum
+
+        async def go(facing: Geometry) -> Geometry:
+            return await instrument.face_source(facing.theta_in)
+
+        facing = Geometry(point.theta_in, -point.theta_in)
+        here = await self._reach("stray light is not measured", go, facing, point)
+        if here is not None:
+            spectra = await instrument.sequence(time, STRAY_SCANS)
+            moment = instrument.clock.now() - STRAY_SCANS * time / 2
+            await self._has_dark(spectra)
+            self._store.add_exposures(self._scan_id, "stray", spectra, moment, here)
+        self._settled.add(point.theta_in)
+
+    async def _reach(
+        self, otherwise: str, go: Callable[[Geometry], Awaitable[Geometry]], there: Geometry, onward: Geometry
+    ) -> Geometry | None:
+        """Go `there`, if the arm can also go `onward` from there, and return the read-back; else warn."""
+        start, end = ((g.sample_angle, g.detector_angle) for g in (there, onward))
+        try:
+            safe_path(start, end, self._instrument.forbidden)
+            return await go(there)
+        except GeometryError as error:
+            log.warning("At theta_in = %g deg %s: %s", there.theta_in, otherwise, error)
+            return None
+
+    async def _has_dark(self, spectra: Sequence[Spectrum]) -> None:
+        """Before spectra are written their dark is: stored spectra can always be calibrated."""
+        temperature = float(np.mean([s.detector_temperature for s in spectra]))
+        await self._darks.of(spectra[0].integration_time, temperature)

@@ -1,0 +1,153 @@
+"""How the lamp drifts, from exposures in one direction that are repeated while a scan goes on.
+
+A halogen lamp that becomes hotter becomes brighter and bluer. The ratio of a monitor exposure to the first one of its
+scan is described by two numbers, level + tilt (600 nm / wavelength - 1): by Wien's law a change of the lamp's
+temperature has level = tilt, a change of anything grey has tilt 0. Between monitors the two are interpolated linearly
+in time. What the line misses is judged by the monitors themselves: a parabola departs from its chord by its second
+difference / sqrt(120) in the mean square, and noise s of the monitors leaves third differences of sqrt(20) s.
+
+The same lamp must be compared between two scans, and other samples lie on the bench in between. The lamp is taken as
+unchanged between the last monitor of a scan and the first of the next, with an uncertainty: what it drifted in as
+long a time while it was watched.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from drivers.arrays import FloatArray
+from goniometer.raw import RawScan
+from goniometer.signal import linear
+from goniometer.uncertainty import Groups
+
+REFERENCE_WAVELENGTH = 600.0
+"""Where the tilt is zero, nm."""
+
+BRIGHT = 0.1
+"""Pixels of the monitor that have at least this part of its brightest one tell of the lamp."""
+
+_COUNTED = frozenset({"dark", "non-linearity"})
+
+
+@dataclass(frozen=True)
+class LampDrift:
+    """What the monitors of one scan tell."""
+
+    level: FloatArray
+    """[points] relative change of the lamp at 600 nm since the first monitor, where the point was taken."""
+    tilt: FloatArray
+    """[points] the same of the tilt."""
+    interval: Groups
+    """[points] number of the pair of monitors between which a point was taken; its points share an error."""
+    u_interval: float
+    """Relative standard uncertainty of the lamp at a point: noise of the monitors, and what interpolation misses."""
+    end: tuple[float, float]
+    """Level and tilt at the last monitor."""
+    pace: float
+    """Relative change per second, root mean square between successive monitors."""
+    begin_moment: float
+    """Of the first monitor, seconds on the clock of its process."""
+    end_moment: float
+    """Of the last one."""
+    largest: float
+    """Largest relative change of the level among the monitors."""
+
+
+@dataclass(frozen=True)
+class LampBetween:
+    """How the lamp changed from the first monitor of one scan to the first of another."""
+
+    level: float
+    tilt: float
+    u: float
+    """Relative standard uncertainty."""
+
+
+def factor(level: FloatArray, tilt: FloatArray, wavelengths: FloatArray) -> FloatArray:
+    """[points, wavelengths] output of the lamp, 1 at the first monitor; `level`, `tilt` [points], nm."""
+    shape = REFERENCE_WAVELENGTH / wavelengths - 1
+    return np.asarray(1 + level[:, None] + tilt[:, None] * shape)
+
+
+def lamp_drift(raw: RawScan) -> LampDrift | None:
+    """What the monitors of a scan tell about its points; None where there are fewer than two."""
+    if len(raw.monitors) < 2:
+        return None
+    levels = _levels(raw)
+    moments = np.array([m.moment for m in raw.monitors])
+    first_ids = np.array([m.ids[0] for m in raw.monitors])
+    # a clock that goes back is that of another process, between whose moments nothing can be interpolated
+    runs = np.cumsum(np.concatenate([[0], np.diff(moments) < 0]))
+    of_point = {shot.point: shot for shot in raw.shots}  # the last shot of a point stands for all of it
+    shots = [of_point[i] for i in range(len(raw.planned))]
+    before = np.array([np.searchsorted(first_ids, shot.ids[0]) - 1 for shot in shots], dtype=np.intp)
+    found = np.zeros((len(shots), 2))
+    for i, shot in enumerate(shots):
+        mine = runs == runs[max(before[i], 0)]
+        found[i] = [np.interp(shot.moment, moments[mine], column[mine]) for column in levels.T]
+    u_interval, pace = _judged(levels[:, 0], moments, runs)
+    return LampDrift(
+        level=found[:, 0],
+        tilt=found[:, 1],
+        interval=before - before.min() if before.size else before,
+        u_interval=u_interval,
+        end=(float(levels[-1, 0]), float(levels[-1, 1])),
+        pace=pace,
+        begin_moment=float(moments[0]),
+        end_moment=float(moments[-1]),
+        largest=float(np.abs(levels[:, 0]).max()),
+    )
+
+
+def lamp_between(scans: list[RawScan]) -> LampBetween | None:
+    """Change of the lamp from the first monitor of the first of successive `scans` to the first of the last one.
+
+    None where one of them, the last included, has too few monitors.
+    """
+    drifts = [lamp_drift(scan) for scan in scans]
+    if any(drift is None for drift in drifts):
+        return None
+    known = [drift for drift in drifts if drift is not None]
+    level, tilt, variance = 0.0, 0.0, 0.0
+    for here, then in pairwise(known):
+        level, tilt = (1 + level) * (1 + here.end[0]) - 1, tilt + here.end[1]
+        pause = then.begin_moment - here.end_moment
+        # of a pause that no clock tells the length of, the lamp's own change over the scan is the best guess
+        gap = here.pace * pause if pause >= 0 else here.largest
+        variance += gap**2 + here.u_interval**2
+    return LampBetween(level, tilt, float(np.sqrt(variance)))
+
+
+def _levels(raw: RawScan) -> FloatArray:
+    """[monitors, 2] level and tilt of each monitor relative to the first, by weighted least squares."""
+    parts = [linear(raw, shot, _COUNTED) for shot in raw.monitors]
+    first = parts[0].rate
+    unsaturated = ~np.any([part.saturated for part in parts], axis=0)
+    bright = unsaturated & (first > BRIGHT * first[unsaturated].max())
+    shape = REFERENCE_WAVELENGTH / raw.constants.wavelengths[bright] - 1
+    columns = np.stack([np.ones_like(shape), shape], axis=1)
+    root_weight = np.sqrt(first[bright])  # relative shot noise falls with the root of the signal
+    changes = np.array([part.rate[bright] / first[bright] - 1 for part in parts])
+    solution = np.linalg.lstsq(columns * root_weight[:, None], (changes * root_weight).T, rcond=None)[0]
+    return np.asarray(solution.T)
+
+
+def _judged(level: FloatArray, moments: FloatArray, runs: Groups) -> tuple[float, float]:
+    """Relative standard uncertainty of what is interpolated between monitors, and the pace of the drift per second."""
+    steady = np.diff(runs) == 0
+    steps = np.diff(level)[steady]
+    pace = float(np.sqrt(np.mean((steps / np.maximum(np.diff(moments)[steady], 1e-9)) ** 2))) if steps.size else 0.0
+    mean_squares = []
+    for order in (2, 3):
+        differences = np.diff(level, n=order)
+        # only those of which all monitors belong to one run
+        whole = [bool(steady[i : i + order].all()) for i in range(differences.size)]
+        differences = differences[whole]
+        mean_squares.append(float(np.mean(differences**2)) if differences.size else None)
+    second, third = mean_squares
+    if second is None:
+        # two monitors say how much the lamp changed and not how; a straight line is at most this wrong
+        return float(np.abs(level).max()) / 2, pace
+    noise = second / 6 if third is None else min(third / 20, second / 6)
+    return float(np.sqrt(max(second - 6 * noise, 0.0) / 120 + 2 / 3 * noise)), pace

@@ -1,0 +1,11 @@
+"""The intervals that a dataset states hold the truth as often as they say."""
+
+import pytest
+
+from tests.benchmarks.coverage import report, run
+
+
+@pytest.mark.slow
+def test_the_95_percent_interval_holds_the_truth_in_93_to_97_percent_of_the_cells() -> None:
+    for sample, share in report(run(range(1, 51))).items():
+        assert 0.93 < share < 0.97, sample
