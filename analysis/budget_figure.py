@@ -222,6 +222,11 @@ def budget_table(found: Budget) -> str:
     )
 
 
+def relative_in_words(relative: float) -> str:
+    """Size of a relative uncertainty in per cent, two digits."""
+    return f"{100 * abs(relative):.2g} %" if abs(relative) >= 1e-4 else "< 0.01 %"
+
+
 def share_in_words(share: float) -> str:
     """A share of the variance in per cent."""
     return f"{100 * share:.1f} %" if share >= 0.0005 else "< 0.1 %"
@@ -229,6 +234,6 @@ def share_in_words(share: float) -> str:
 
 def _row(name: str, u: float, relative: float, share: float | None, shared: str) -> str:
     of_variance = "" if share is None else escape(share_in_words(share))
-    numbers = (f"{u:.2g}".replace("-", "−"), f"{100 * abs(relative):.2g} %", of_variance)
+    numbers = (f"{u:.2g}".replace("-", "−"), escape(relative_in_words(relative)), of_variance)
     cells = "".join(f'<td class="number">{number}</td>' for number in numbers)
     return f'<tr><td>{name}</td>{cells}<td class="soft">{shared}</td></tr>'

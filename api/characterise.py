@@ -140,10 +140,14 @@ def instrument_lines(proposed: Proposals) -> list[str]:
     return lines
 
 
-def write_figure(found: Result, path: Path) -> Export:
-    """Draw a result into an SVG file; raises `InputError` for another ending and `StoreFull` for a full disk."""
+def check_figure(path: Path) -> None:
+    """Raise `InputError` where no figure can be drawn to `path`."""
     if path.suffix != ".svg":
         raise InputError(f'The figure cannot be drawn to "{path}"; end its name in .svg.')
+
+
+def write_figure(found: Result, path: Path) -> Export:
+    """Draw a result into an SVG file; raises `StoreFull` where the disk refuses."""
     return write_text("svg", path, side_by_side(panels(found)))
 
 

@@ -16,6 +16,8 @@ from rich.console import Console
 
 from analysis.errors import AnalysisError
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, emit, existing
+from api.cli_characterise import register as add_characterisations
+from api.cli_quality import register as add_quality
 from api.demo import demo as run_demo
 from api.derive import Export, slug
 from api.display import duration, progress_display
@@ -218,6 +220,10 @@ def export(
     """Write a dataset's fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
     _tell_export(export_dataset(store, find_dataset(store, dataset), to, path), as_json=as_json)
+
+
+add_characterisations(app)
+add_quality(app)
 
 
 @app.command()

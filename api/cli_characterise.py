@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.characterise import Found, characterise, content, instrument_lines, lines, write_figure
+from api.characterise import Found, characterise, check_figure, content, instrument_lines, lines, write_figure
 from api.settings import load_instrument
 from api.terminal import confirm, screen, wait
 from goniometer.certificate import NOMINAL_SRS99, PanelCertificate
@@ -131,7 +131,7 @@ def wavelength(
     _characterise(measure_wavelengths, instrument, database, output, seed, as_json=as_json)
 
 
-async def _ask(piece: Piece) -> None:
+async def ask_for(piece: Piece) -> None:
     """Ask a person to put something on the sample stage; raises `RunAborted` without a terminal."""
     state, request = REQUESTS[piece]
     await confirm(state, f"{request}, and press Enter.")
@@ -147,10 +147,12 @@ def _characterise(
     as_json: bool,
 ) -> None:
     """Run a measurement, keep its result, tell it, and draw it."""
+    if output is not None:
+        check_figure(output)
     settings = load_instrument(instrument) if instrument else None
     if settings is not None:
         screen.print("Opening all devices; the measurement takes some minutes.", highlight=False)
-    found, proposed = wait(characterise(Store.open(database), settings, seed, _ask, measure))
+    found, proposed = wait(characterise(Store.open(database), settings, seed, ask_for, measure))
     written = None if output is None else write_figure(found, output).path
     if as_json:
         emit(content(found, proposed) | {"path": None if written is None else str(written)})

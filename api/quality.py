@@ -8,7 +8,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from analysis.budget_figure import budget_page, budget_panels, share_in_words, side_by_side
+from analysis.budget_figure import budget_page, budget_panels, relative_in_words, share_in_words, side_by_side
 from api.derive import Export, write_text
 from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
 from goniometer.calibration import calibrate_scan
@@ -129,8 +129,8 @@ def budget_lines(dataset_id: int, found: Budget) -> list[str]:
 
 
 def _numbers(u: float, relative: float) -> tuple[str, str]:
-    part = f"{100 * abs(relative):.2g} %" if abs(relative) >= 1e-4 else "< 0.01 %"
-    return f"{u:.2g}".replace("-", "−"), part
+    """Sizes; the sign of a source says which way it moves the value, and matters only beside other values."""
+    return f"{abs(u):.2g}".replace("-", "−"), relative_in_words(abs(relative))
 
 
 def write_budget(dataset: Dataset, found: Budget, path: Path) -> Export:
@@ -164,20 +164,15 @@ def recalibrate(
 ) -> int:
     """Calibrate the raw data of a dataset anew and write the result beside it; returns the id of the new dataset.
 
-    `certificate` is the CSV file of a certificate, None for that of the campaign. Raises `NotInStore` where there is
-    no such dataset, `CertificateError` where the certificate cannot be used, and `CalibrationError`.
+    `certificate` is the CSV file of a certificate, None for the one that the dataset has. Raises `NotInStore` where
+    there is no such dataset, `CertificateError` where the certificate cannot be used, and `CalibrationError`.
     """
-    store.dataset(dataset_id)  # refuses where there is none
+    text = store.dataset_certificate(dataset_id) if certificate is None else read_certificate(certificate)
+    where = f"certificate of dataset {dataset_id}" if certificate is None else str(certificate)
+    panel = None if text is None else parse_certificate(text, where)
     scan_id = store.datasets()[dataset_id]
-    given: dict[str, object] = {}
-    panel = None
-    if certificate is not None:
-        text = read_certificate(certificate)
-        panel = parse_certificate(text, str(certificate))
-        given = {
-            "certificate_file": str(certificate.resolve()),
-            "certificate_sha256": hashlib.sha256(text.encode()).hexdigest(),
-        }
     dataset = calibrate_scan(store, scan_id, settings, panel, override)
-    lineage = dataset.lineage | given | {"recalibrated_from": dataset_id}
-    return store.add_dataset(scan_id, replace(dataset, lineage=lineage))
+    lineage = dataset.lineage | {"recalibrated_from": dataset_id}
+    if text is not None:
+        lineage |= {"certificate_sha256": hashlib.sha256(text.encode()).hexdigest()}
+    return store.add_dataset(scan_id, replace(dataset, lineage=lineage), text)

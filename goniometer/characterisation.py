@@ -84,7 +84,7 @@ def evaluate_signature(measured: Series, u_angle: float) -> Signature:
     centre, width = centre_and_width(x, y)
     # the sample stage rests: its error moves the peak by twice as much and does not change its width
     u_centre, u_width = propagated(centre_and_width, x, y, u_angle, u_y)
-    rates = rate[far].mean(axis=0), np.sqrt((u_rate[far] ** 2).mean(axis=0) / far.sum())
+    own, dark = (u_rate[far] ** 2).mean(axis=0) / far.sum(), measured.u_dark[order][far].mean(axis=0) ** 2
     return Signature(
         theta_in=float(measured.sample.mean()),
         angle=angle,
@@ -97,8 +97,8 @@ def evaluate_signature(measured: Series, u_angle: float) -> Signature:
         u_centre=float(np.hypot(u_centre, 2 * u_angle)),
         width=float(width),
         u_width=float(u_width),
-        floor=rates[0] / rate[peak],
-        u_floor=rates[1] / rate[peak],
+        floor=rate[far].mean(axis=0) / rate[peak],
+        u_floor=np.sqrt(own + dark) / rate[peak],
     )
 
 

@@ -145,7 +145,7 @@ async def measure_wavelengths(instrument: Instrument, mount: Mount, theta_in: fl
     spectra = await instrument.sequence(time, 10)
     whole = reading(first.geometry, spectra, await meter.darks(time), meter.constants)
     rate = np.where(whole.saturated, np.nan, whole.rate)
-    return evaluate_lines(find_lines(meter.constants.wavelengths, rate, whole.u))
+    return evaluate_lines(find_lines(meter.constants.wavelengths, rate, np.hypot(whole.u, whole.u_dark)))
 
 
 def _possible(instrument: Instrument, wanted: Iterable[Geometry]) -> list[Geometry]:

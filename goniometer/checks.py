@@ -296,7 +296,7 @@ def _at(dataset: Dataset, points: NDArray[np.bool_]) -> str:
 
 
 def _direction(theta_in: float, theta_out: float) -> str:
-    return f"f({theta_in:.1f}°, {theta_out:.1f}°)".replace("-", "−")
+    return f"f({theta_in:.1f}°, {round(theta_out, 1) + 0.0:.1f}°)".replace("-", "−")  # no negative zero
 
 
 def _middle(dataset: Dataset) -> str:

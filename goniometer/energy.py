@@ -25,7 +25,6 @@ from goniometer.angular import incidence_groups
 from goniometer.averages import Averages, averages, narrow
 from goniometer.dataset import Dataset
 from goniometer.reciprocity import SAME_INCIDENCE
-from goniometer.uncertainty import ErrorSource, variance
 
 BAND = 25.0
 """Smallest width of the bands of wavelengths, nm."""
@@ -122,19 +121,18 @@ def _reflectance(
 
 
 def _by_sources(gain: FloatArray, mean: Averages, members: NDArray[np.intp]) -> FloatArray:
-    """[bands] variance of the sum of `gain` [members, bands] times f, from the dataset's sources."""
-    found = np.empty(gain.shape[1])
-    for band in range(gain.shape[1]):
-        sources = tuple(
-            ErrorSource(s.name, s.part, s.values[members, band : band + 1], _of(s, members), s.shared_by_wavelengths)
-            for s in mean.sources
-        )
-        found[band] = variance(gain[None, :, band : band + 1], sources)[0]
+    """[bands] variance of the sum of `gain` [members, bands] times f, from the dataset's sources.
+
+    As `goniometer.uncertainty.variance`, for one sum a band.
+    """
+    found = np.zeros(gain.shape[1])
+    for source in mean.sources:
+        effect = gain * source.values[members]
+        if source.groups is not None:
+            groups = source.groups[members]
+            effect = (np.unique(groups)[:, None] == groups).astype(float) @ effect
+        found += np.sum(effect**2, axis=0)
     return found
-
-
-def _of(source: ErrorSource, members: NDArray[np.intp]) -> NDArray[np.intp] | None:
-    return None if source.groups is None else np.unique(source.groups[members], return_inverse=True)[1]
 
 
 def _slice(theta_in: float, lowest: float, highest: float) -> _Slice:

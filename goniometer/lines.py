@@ -78,7 +78,7 @@ class WavelengthScale:
     slope: float
     """Change of known - found over the wavelength, a pure number (nm per nm)."""
     u_slope: float
-    """Standard uncertainty of `slope`."""
+    """Standard uncertainty of `slope`, widened where the lines scatter around it more than they should."""
     chi_square: float
     """Sum of squared normalised departures from `offset`."""
     degrees_of_freedom: int
@@ -116,13 +116,15 @@ def evaluate_lines(lines: tuple[Line, ...]) -> WavelengthScale:
     widened = max(1.0, np.sqrt(chi_square / freedom))
     middle = np.sum(weight * known) / weight.sum()
     lever = float(np.sum(weight * (known - middle) ** 2))
+    slope = float(np.sum(weight * (known - middle) * departure) / lever)
+    about_slope = float(np.sum(weight * (departure - offset - slope * (known - middle)) ** 2))
     return WavelengthScale(
         lines,
         offset,
         float(np.hypot(widened / np.sqrt(weight.sum()), U_KNOWN)),  # what a lamp does, it does to all its lines
         float(np.std(departure, ddof=1)),
-        float(np.sum(weight * (known - middle) * departure) / lever),
-        float(widened / np.sqrt(lever)),
+        slope,
+        float(np.sqrt(max(1.0, about_slope / (freedom - 1)) / lever)),
         chi_square,
         freedom,
     )

@@ -46,7 +46,9 @@ class Reading:
     rate: FloatArray
     """Linear signal without dark, counts per second."""
     u: FloatArray
-    """Standard uncertainty of `rate` by the noise of light and dark, counts per second."""
+    """Standard uncertainty of `rate` by the noise of its own spectra, counts per second."""
+    u_dark: FloatArray
+    """Standard uncertainty of `rate` by the noise of the darks, which all readings of one integration time share."""
     saturated: BoolArray
     """Pixels whose signal is not known."""
 
@@ -64,7 +66,9 @@ class Series:
     rate: FloatArray
     """[points, bands] mean signal of a band's pixels, counts per second."""
     u: FloatArray
-    """[points, bands] standard uncertainty of `rate` by noise, counts per second."""
+    """[points, bands] standard uncertainty of `rate` by the noise of a point's own spectra, counts per second."""
+    u_dark: FloatArray
+    """[points, bands] standard uncertainty of `rate` by the noise of the darks that points share, counts per second."""
 
     @property
     def total(self) -> FloatArray:
@@ -73,7 +77,7 @@ class Series:
 
     @property
     def u_total(self) -> FloatArray:
-        """[points] standard uncertainty of `total` by noise, counts per second."""
+        """[points] standard uncertainty of `total` by the noise of a point's own spectra, counts per second."""
         return np.asarray(np.sqrt((self.u**2).sum(axis=1)))
 
 
@@ -138,10 +142,10 @@ def reading(geometry: Geometry, spectra: Sequence[Spectrum], darks: CountArray, 
     factor = np.polynomial.polynomial.polyval(above, constants.nonlinearity)
     read_out = float(darks.var(axis=0, ddof=1).mean())
     true = above / factor
-    variance = np.maximum(true, 0) / constants.bench.gain / len(counts)
-    variance += read_out * (1 / len(counts) + 1 / len(darks)) / factor**2
+    variance = (np.maximum(true, 0) / constants.bench.gain + read_out / factor**2) / len(counts)
+    u_dark = np.sqrt(read_out / len(darks)) / factor
     saturated = np.any(counts >= constants.saturation, axis=0)
-    return Reading(geometry, time, true / time, np.sqrt(variance) / time, saturated)
+    return Reading(geometry, time, true / time, np.sqrt(variance) / time, u_dark / time, saturated)
 
 
 def binned(values: FloatArray, wavelengths: FloatArray) -> FloatArray:
@@ -160,11 +164,15 @@ def series(readings: Sequence[Reading], wavelengths: FloatArray) -> Series:
             "The detector is saturated at every wavelength at its shortest integration time; dim the light"
         )
     rate = binned(np.array([r.rate for r in readings]), wavelengths)[:, kept]
-    variance = binned(np.array([r.u**2 for r in readings]), wavelengths)[:, kept]
+    u, u_dark = (
+        np.sqrt(binned(np.array(values) ** 2, wavelengths)[:, kept] / BIN)
+        for values in ([r.u for r in readings], [r.u_dark for r in readings])
+    )
     return Series(
         binned(wavelengths, wavelengths)[kept],
         np.array([r.geometry.sample_angle for r in readings]),
         np.array([r.geometry.detector_angle for r in readings]),
         rate,
-        np.sqrt(variance / BIN),
+        u,
+        u_dark,
     )

@@ -347,8 +347,11 @@ class Store(Database):
 
     # Derived rows: only ever added
 
-    def add_dataset(self, scan_id: int, dataset: Dataset) -> int:
-        """Write a calibrated dataset and return its id."""
+    def add_dataset(self, scan_id: int, dataset: Dataset, certificate: str | None = None) -> int:
+        """Write a calibrated dataset and return its id.
+
+        `certificate` is the text of that it was calibrated with, None for that of its campaign.
+        """
         with self._writing() as connection:
             return insert_row(
                 connection,
@@ -357,6 +360,7 @@ class Store(Database):
                 sample=dataset.sample,
                 arrays=pack_dataset(dataset),
                 checks=json.dumps([asdict(check) for check in dataset.checks]),
+                certificate=certificate,
                 lineage=json.dumps(dataset.lineage, sort_keys=True),
                 content_hash=dataset.content_hash,
                 software_version=software_version(),
@@ -367,6 +371,12 @@ class Store(Database):
         """A calibrated dataset, bit for bit as it was written; raises `NotInStore`."""
         row = self._one(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
         return to_dataset(row)
+
+    def dataset_certificate(self, dataset_id: int) -> str | None:
+        """Text of the certificate of a dataset, None where it is that of its campaign; raises `NotInStore`."""
+        query = select(tables.datasets.c.certificate).where(tables.datasets.c.id == dataset_id)
+        text: str | None = self._one(query, f"dataset {dataset_id}").certificate
+        return text
 
     def datasets(self, scan_id: int | None = None) -> dict[int, int]:
         """Scan id of every dataset (of one scan) by its id, oldest first."""

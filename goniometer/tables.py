@@ -123,6 +123,7 @@ datasets = Table(
     Column("sample", String, nullable=False),
     Column("arrays", LargeBinary, nullable=False),
     Column("checks", Text, nullable=False),
+    Column("certificate", Text),
     Column("lineage", Text, nullable=False),
     Column("content_hash", String, nullable=False),
     Column("software_version", String, nullable=False),

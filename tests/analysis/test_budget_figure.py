@@ -7,7 +7,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from analysis.budget_figure import LOOKS, budget_page, budget_panels, budget_table, share_in_words, side_by_side
+from analysis.budget_figure import (
+    LOOKS,
+    budget_page,
+    budget_panels,
+    budget_table,
+    relative_in_words,
+    share_in_words,
+    side_by_side,
+)
 from analysis.svg import INK
 from drivers.arrays import FloatArray
 from goniometer.budget import budget
@@ -92,6 +100,7 @@ def test_the_table_says_all_parts_the_sum_and_the_coverage_factor(dataset: Datas
 
 
 def test_what_is_too_small_to_write_is_not_called_zero() -> None:
+    assert (relative_in_words(-0.01234), relative_in_words(3e-9)) == ("1.2 %", "< 0.01 %")
     assert (share_in_words(0.7581), share_in_words(0.0004), share_in_words(1)) == ("75.8 %", "< 0.1 %", "100.0 %")
 
 
