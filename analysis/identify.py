@@ -76,7 +76,7 @@ def _against_alpha(evidence: Evidence) -> list[str]:
         )
     if evidence.u_alpha > LARGEST_RELATIVE_ERROR * evidence.alpha:
         reasons.append(
-            f"alpha is known to {evidence.u_alpha / evidence.alpha:.0%} only; {LARGEST_RELATIVE_ERROR:.0%} would do."
+            f"alpha is known to {evidence.u_alpha / evidence.alpha:.1%} only; {LARGEST_RELATIVE_ERROR:.0%} would do."
         )
     low, high = evidence.scanned_alphas
     if not low < evidence.alpha < high:

@@ -48,9 +48,7 @@ FigureFile = Annotated[Path | None, typer.Option("--output", "-o", help="Plot to
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulated bench.")]
 IncidentAngle = Annotated[float, typer.Option(min=5, max=75, help="Incident angle on the mirror, degrees.")]
 
-commands = typer.Typer(
-    help="Measure the bench itself and propose what the instrument file should say.", no_args_is_help=True
-)
+commands = typer.Typer(help="Measure the bench itself and propose what the instrument file should say.")
 
 
 def register(app: typer.Typer) -> None:
