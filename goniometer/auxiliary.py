@@ -93,9 +93,10 @@ class Auxiliary:
 
         What the arm cannot reach, or from where it could not go on to the point, is left out with a warning.
         """
-        monitor = self._campaign.monitor
-        now = self._instrument.clock.now()
+        monitor, now = self._campaign.monitor, self._instrument.clock.now()
         if monitor is not None and (self._looked is None or now - self._looked >= monitor.every):
+            if self._looked is not None:
+                self._looked = now  # what goes wrong now must not cost the point all its attempts
             await self._look_at_lamp(point)
         if self._campaign.stray_light and not any(abs(point.theta_in - t) <= ARRIVAL for t in self._settled):
             await self._take_stray(point)

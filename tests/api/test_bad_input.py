@@ -66,7 +66,7 @@ url = "tcp://127.0.0.1:9"
 
 
 def test_a_missing_device_is_named_in_one_line(cli: Any, tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(f"name: t\n{SAMPLE}")
+    (tmp_path / "c.yaml").write_text(f"name: t\n{SAMPLE}\nreference: {{override: {{name: me, reason: a test}}}}\n")
     (tmp_path / "i.toml").write_text(INSTRUMENT)
     done = cli("run", "c.yaml", "--instrument", "i.toml", cwd=tmp_path)
     assert done.returncode == 1
@@ -92,3 +92,15 @@ def test_a_wrong_instrument_file_is_refused_in_one_line(cli: Any, tmp_path: Path
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     for word in words:
         assert word in done.stderr
+
+
+def test_a_real_bench_without_a_certificate_measures_nothing_until_somebody_answers_for_it(
+    cli: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "c.yaml").write_text(f"name: t\n{SAMPLE}")
+    (tmp_path / "i.toml").write_text(INSTRUMENT)
+    done = cli("run", "c.yaml", "--instrument", "i.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "nobody has measured this panel" in done.stderr
+    assert "override" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
