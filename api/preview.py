@@ -21,7 +21,8 @@ class Leg:
     detector_travel: float
     """Degrees that the detector stage turns between them."""
     longest_exposure: float
-    """Seconds of integration if every point needed the longest time that the campaign allows."""
+    """Seconds of integration if every point needed as much as the campaign allows; darks, stray light and looks at the
+    lamp not counted."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class Preview:
     """Largest wanted interpolation error of ln(1 + cos(theta_in) f)."""
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
+    besides: tuple[str, ...]
+    """What is measured besides, as sentences."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
@@ -51,6 +54,7 @@ class Preview:
             f"Samples are then refined until ln(1 + cos(theta_in) f) is known to {self.tolerance:g} or directions lie "
             f"{self.minimum_step:g}° apart; a uniform 1° grid has {self.uniform_1_degree_points} points a sample."
         )
+        told += self.besides
         told.append("Left out because the detector would stand in the beam:")
         told += [f"  theta_in {t:g}°: theta_out {low:g}° to {high:g}°" for t, (low, high) in self.blocked.items()]
         return told
@@ -59,12 +63,14 @@ class Preview:
 def preview(campaign: Campaign) -> Preview:
     """Preview of `campaign`; touches no device."""
     spec = plan_spec(campaign)
-    longest = campaign.integration.maximum
+    wanted = campaign.integration
+    longest = wanted.maximum * wanted.exposures
+    a_point = longest * wanted.scans if wanted.signal_to_noise is None else wanted.time_limit
     reference = _leg(
         "reference panel", reference_points(spec, campaign.reference.step), longest * campaign.reference.scans
     )
     coarse = next_points(spec, [])
-    samples = [_leg(f"{s.name}, coarse sweep", coarse, longest * campaign.integration.scans) for s in campaign.samples]
+    samples = [_leg(f"{s.name}, coarse sweep", coarse, a_point) for s in campaign.samples]
     return Preview(
         campaign.name,
         (reference, *samples),
@@ -72,7 +78,24 @@ def preview(campaign: Campaign) -> Preview:
         spec.minimum_step,
         spec.tolerance,
         uniform_grid_size(spec),
+        _besides(campaign),
     )
+
+
+def _besides(campaign: Campaign) -> tuple[str, ...]:
+    told = []
+    if campaign.stray_light:
+        told.append("Stray light is measured once per incident angle of each scan.")
+    if campaign.monitor is not None:
+        told.append(
+            f"One direction is looked at again every {duration(campaign.monitor.every)}, to see the lamp drift."
+        )
+    if campaign.homogeneity is not None:
+        told.append(
+            f"After each sample somebody is asked to turn it, and {campaign.homogeneity.points} directions are measured "
+            "again."
+        )
+    return tuple(told)
 
 
 def _leg(name: str, points: list[Geometry], seconds_a_point: float) -> Leg:

@@ -20,15 +20,13 @@ screen = Console(stderr=True)
 
 async def ask_to_mount(scan: Scan) -> None:
     """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
-    if scan.kind == "spot":
-        turned = f"{scan.sample} is turned"
-        return await confirm(
-            turned,
-            f"Turn {scan.sample} by 90° about its normal, or move it so that the light falls on another place, check "
-            "that it lies flat against the holder, and press Enter.",
-        )
     what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
-    return await confirm(f"{what} is mounted", f"Mount {what}, check that it lies flat against the holder, and press Enter.")
+    flat = "check that it lies flat against the holder, and press Enter."
+    if scan.kind == "spot":
+        turn = f"Turn {what} by 90° about its normal, or move it so that the light falls on another place"
+        await confirm(f"{what} is turned", f"{turn}, {flat}")
+    else:
+        await confirm(f"{what} is mounted", f"Mount {what}, {flat}")
 
 
 async def confirm(state: str, request: str) -> None:

@@ -65,7 +65,7 @@ class Point:
     status: Status
     attempts: int
     reason: str
-    """Why it failed or was skipped; empty otherwise."""
+    """Why it failed or was skipped, or what is less than was wanted; empty otherwise."""
     seconds: float
     """Bench time that it took, seconds."""
 

@@ -17,7 +17,6 @@ samples:
   - {name: Sample 1, material: sample-1}
   - {name: Sample 2, material: sample-2}
   - {name: Sample 3, material: sample-3}
-reference: {override: {name: Test, reason: The panel of the simulated bench is nominal.}}
 """
 """A campaign that takes long enough for another command to reach it."""
 
@@ -31,7 +30,6 @@ samples:
   - {name: Mirror, material: mirror}
 incident: [20, 60]
 resolution: {tolerance: 0.05, coarse_step: 15 deg}
-reference: {override: {name: Test, reason: The panel of the simulated bench is nominal.}}
 monitor: null
 """
 """A campaign of two incident angles that takes seconds; without monitors an interruption changes nothing."""

@@ -1,6 +1,5 @@
 """What the bench knows comes back from wire to fit, within the stated uncertainty."""
 
-import asyncio
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -10,13 +9,11 @@ import pytest
 
 from analysis.brdf_fit import shift_fit
 from api.demo import SAMPLES
-from api.service import open_bench
 from goniometer.calibration import calibrate_scan
 from goniometer.campaign import Campaign
-from goniometer.records import Scan
-from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.materials import SAMPLES as MATERIALS
+from tests.benchmarks.measured import measure
 
 SEEDS = range(1, 11)
 
@@ -24,18 +21,9 @@ SEEDS = range(1, 11)
 def z_scores(folder: Path, seed: int) -> list[list[float]]:
     """(fitted - true) / standard error of alpha, h and w, for Samples 1 and 4, measured with this seed."""
     store = Store.open(folder / f"{seed}.db")
-    campaign = Campaign(name="Recovery", seed=seed, samples=SAMPLES[:2])
-
-    async def nobody(scan: Scan) -> None:
-        raise AssertionError(f"asked a person to mount {scan.sample}")
-
-    async def measure() -> None:
-        async with open_bench(None, seed, nobody) as (instrument, mount):
-            await run_campaign(store, campaign, instrument, mount, lambda _: None, lambda _: None)
-
-    asyncio.run(measure())
+    campaign = Campaign(name="Recovery", seed=seed, samples=SAMPLES[:2], monitor=None)
     found = []
-    for scan in store.scans():
+    for scan in measure(store, campaign):
         if scan.kind == "sample":
             fit = shift_fit(calibrate_scan(store, scan.id))
             assert fit.verdict.trusted

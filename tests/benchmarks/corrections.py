@@ -13,25 +13,22 @@ mirror direction at 60 degrees, which fill the detector more than the panel does
 stages, 0.005 degrees each, and noise.
 """
 
-import asyncio
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from api.service import open_bench
 from drivers.arrays import FloatArray
 from goniometer.calibration import calibrate
 from goniometer.campaign import AngleSteps, Campaign, Integration, Monitor, Reference, Resolution, Sample
 from goniometer.dataset import Dataset
 from goniometer.raw import RawScan, read_raw
-from goniometer.records import Scan
 from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
-from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.materials import PANEL_CERTIFICATE, material, true_brdf
+from tests.benchmarks.measured import measure
 
 WRONG = Imperfections(stray_light=1e-3, wavelength_offset=2.0)
 DRIFTING = Imperfections(lamp_drift=0.03)
@@ -66,18 +63,9 @@ def campaign(names: tuple[str, ...], monitor: Monitor | None, scans: int) -> Cam
 def measured(wanted: Campaign, wrong: Imperfections) -> dict[str, list[RawScan]]:
     """By sample: the scans of the campaign up to its own."""
 
-    async def nobody(scan: Scan) -> None:
-        raise AssertionError(f"asked a person to mount {scan.sample}")
-
     with tempfile.TemporaryDirectory() as folder:
         store = Store.open(Path(folder) / "bench.db")
-
-        async def measure() -> None:
-            async with open_bench(None, SEED, nobody, imperfections=wrong) as (instrument, mount):
-                await run_campaign(store, wanted, instrument, mount, lambda _: None, lambda _: None)
-
-        asyncio.run(measure())
-        scans = store.scans()
+        scans = measure(store, wanted, wrong)
         raws = [read_raw(store, scan.id) for scan in scans]
         store.close()
     known = [

@@ -7,7 +7,6 @@ of it as the stated uncertainties allow, and its counts and stages are noisy. Sa
 the drivers, calibrated, and compared with the truth in every (point, wavelength) cell.
 """
 
-import asyncio
 import multiprocessing
 import sys
 import tempfile
@@ -18,17 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from api.service import open_bench
 from drivers.arrays import FloatArray
 from goniometer.calibration import calibrate_scan
 from goniometer.campaign import Campaign, Reference, Resolution, Sample
-from goniometer.certificate_file import certificate_csv
 from goniometer.constants import BenchData
-from goniometer.records import Scan
-from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.imperfections import drawn
-from simulators.materials import PANEL_CERTIFICATE, material, true_brdf
+from simulators.materials import material, true_brdf
+from tests.benchmarks.measured import measure
 
 SAMPLES = ("sample-1", "sample-4", "sample-5")
 LAMP_DRIFT = 0.01
@@ -65,20 +61,10 @@ def scores(seed: int) -> list[Scores]:
     )
     imperfections = drawn(seed, BenchData(), lamp_drift=LAMP_DRIFT)
 
-    async def nobody(scan: Scan) -> None:
-        raise AssertionError(f"asked a person to mount {scan.sample}")
-
     with tempfile.TemporaryDirectory() as folder:
         store = Store.open(Path(folder) / "bench.db")
-
-        async def measure() -> None:
-            async with open_bench(None, seed, nobody, imperfections=imperfections) as (instrument, mount):
-                text = certificate_csv(PANEL_CERTIFICATE)
-                await run_campaign(store, campaign, instrument, mount, lambda _: None, lambda _: None, text)
-
-        asyncio.run(measure())
         found = []
-        for scan in store.scans()[1:]:
+        for scan in measure(store, campaign, imperfections)[1:]:
             data = calibrate_scan(store, scan.id)
             truth = true_brdf(material(scan.material), data.theta_in, data.theta_out, data.wavelengths)
             found.append(Scores(scan.sample, data.theta_out, data.wavelengths, (data.brdf - truth) / data.u))

@@ -39,9 +39,7 @@ def plain(sample: RawScan, reference: RawScan) -> np.ndarray:
     found = []
     for shot in sample.shots:
         here = sample.planned[shot.point or 0]
-        away = [
-            abs(g.theta_in - here.theta_in) * 1e3 + abs(g.theta_out - here.theta_out) for g in reference.planned
-        ]
+        away = [abs(g.theta_in - here.theta_in) * 1e3 + abs(g.theta_out - here.theta_out) for g in reference.planned]
         found.append((shot.counts.mean(axis=0) - 1500.0) / np.maximum(panel[int(np.argmin(away))], 1.0))
     return np.array(found)
 

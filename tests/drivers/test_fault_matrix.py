@@ -25,6 +25,7 @@ CAMPAIGN = Campaign(
     resolution=Resolution(coarse_step=45.0, minimum_step=45.0),
     reference=Reference(step=45.0, scans=1),
     integration=Integration(scans=2),
+    monitor=None,
 )
 BENCHES = {
     "SMC100": (("smc100", "oriental-az"), "sample_stage"),

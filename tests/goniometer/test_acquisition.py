@@ -286,6 +286,24 @@ def test_a_resumed_scan_looks_at_the_lamp_first_and_as_it_did_before(store):
     assert len(raw.monitors) >= 3
 
 
+def test_a_fault_on_the_way_to_the_lamp_costs_a_point_one_attempt_and_is_not_met_again_at_the_next(store):
+    def change(instrument):
+        goto, visits = instrument.goto, iter(range(10**6))
+
+        async def jammed(geometry):
+            if geometry == Geometry(30.0, 30.0) and next(visits) == 1:
+                raise DeviceTimeout("detector stage: it did not arrive within 20 s.")
+            return await goto(geometry)
+
+        instrument.goto = jammed
+
+    campaign = changed(monitor=Monitor(every=200.0), resolution=Resolution(coarse_step=20.0))
+    asyncio.run(run(store, campaign, change=change))
+    points = store.points(store.scans()[0].id)
+    assert {p.status for p in points} == {"done"}
+    assert sorted(p.attempts for p in points)[-2:] == [1, 2]
+
+
 def test_a_lamp_that_is_not_monitored_is_not_looked_at(store):
     asyncio.run(run(store, CAMPAIGN))
     assert {kind for scan in store.scans() for kind in kinds(store, scan.id)} == {"light", "dark"}

@@ -12,9 +12,6 @@ from scipy.stats import chi2
 
 import simulators.laboratory
 from drivers.interfaces import Spectrum
-from drivers.oriental_az import OrientalAZ
-from drivers.qepro import QEPro, QEProLight
-from drivers.smc100 import SMC100
 from goniometer.alignment import Sweep, evaluate_alignment
 from goniometer.certificate import NOMINAL_SRS99
 from goniometer.characterisation import FAR, evaluate_returns
@@ -28,14 +25,13 @@ from goniometer.characterise import (
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import CharacterisationError
 from goniometer.geometry import Geometry
-from goniometer.instrument import Instrument
 from goniometer.lines import Line, evaluate_lines
 from goniometer.meter import Reading, Series, binned, reading, series
 from goniometer.peaks import centre_and_width, edge, propagated, u_edge
 from simulators.bench import FULL_SCALE, GAIN, NONLINEARITY_COEFFICIENTS, READ_NOISE, dark_rate, positioning_error
 from simulators.imperfections import Imperfections, drawn
-from simulators.laboratory import simulated_laboratory
 from simulators.materials import material, true_brdf
+from tests.campaign_bench import bench as campaign_bench
 from tests.optical_bench import Bench
 
 ALPHA = 0.0045
@@ -44,26 +40,14 @@ ALPHA = 0.0045
 
 @asynccontextmanager
 async def bench(seed=1, imperfections=None):
-    """An instrument in a simulated laboratory, what mounts a piece there, and the laboratory."""
-    with simulated_laboratory(seed, imperfections=imperfections) as laboratory:
-        spectrometer = QEPro("QE Pro", laboratory.clock, usb_backend=laboratory.usb_backend)
-        instrument = Instrument(
-            SMC100("sample stage", laboratory.sample_stage_url, laboratory.clock),
-            OrientalAZ("detector stage", laboratory.detector_stage_url, laboratory.clock),
-            spectrometer,
-            QEProLight(spectrometer),
-            laboratory.clock,
-            data=laboratory.data,
-        )
-        await instrument.open()
+    """An instrument in a simulated laboratory, and what mounts a piece there."""
+    drawn_anew = drawn(seed, BenchData()) if imperfections is None else imperfections
+    async with campaign_bench(seed, drawn_anew) as (instrument, _, laboratory):
 
         async def mount(piece):
             laboratory.mount(piece)
 
-        try:
-            yield instrument, mount
-        finally:
-            await instrument.close()
+        yield instrument, mount
 
 
 def measured(procedure, seed=1, imperfections=None):

@@ -1,0 +1,27 @@
+"""A campaign measured on the simulated bench, through the drivers, as an operator would run it."""
+
+import asyncio
+
+from api.service import open_bench
+from goniometer.campaign import Campaign
+from goniometer.certificate_file import certificate_csv
+from goniometer.records import Scan
+from goniometer.scheduler import run_campaign
+from goniometer.store import Store
+from simulators.imperfections import Imperfections
+from simulators.materials import PANEL_CERTIFICATE
+
+
+def measure(store: Store, campaign: Campaign, imperfections: Imperfections | None = None) -> list[Scan]:
+    """Run `campaign` and return its scans; `imperfections` of None are drawn from its seed."""
+
+    async def nobody(scan: Scan) -> None:
+        raise AssertionError(f"asked a person to mount {scan.sample}")
+
+    async def run() -> None:
+        async with open_bench(None, campaign.seed, nobody, imperfections=imperfections) as (instrument, mount):
+            text = certificate_csv(PANEL_CERTIFICATE)
+            await run_campaign(store, campaign, instrument, mount, lambda _: None, lambda _: None, text)
+
+    asyncio.run(run())
+    return store.scans()
