@@ -91,10 +91,8 @@ def _besides(campaign: Campaign) -> tuple[str, ...]:
             f"One direction is looked at again every {duration(campaign.monitor.every)}, to see the lamp drift."
         )
     if campaign.homogeneity is not None:
-        told.append(
-            f"After each sample somebody is asked to turn it, and {campaign.homogeneity.points} directions are measured "
-            "again."
-        )
+        points = campaign.homogeneity.points
+        told.append(f"After each sample somebody is asked to turn it, and {points} directions are measured again.")
     return tuple(told)
 
 
