@@ -168,7 +168,8 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     for entry in found:
         state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
-        line = f"{names[entry['campaign_id']]}: {entry['sample']}: {state}, {entry['points_done']} points{datasets}"
+        what = f"{entry['sample']}, another spot" if entry["kind"] == "spot" else entry["sample"]
+        line = f"{names[entry['campaign_id']]}: {what}: {state}, {entry['points_done']} points{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
 
 
