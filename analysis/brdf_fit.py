@@ -282,6 +282,9 @@ def _angle_errors(data: _Data, aperture: Aperture, parameters: tuple[float, floa
     dataset = data.dataset
     step = max(1e-3 * dataset.aperture, 1e-5)
     incidence = incidence_groups(data.theta_in, SAME_INCIDENCE)
+    # a dataset knows how often the stage came back to an incident angle; without that, once
+    visits = {source.name: source.groups for source in dataset.sources}.get("angle: sample stage")
+    visit = incidence if visits is None else visits[data.points]
     shared = everywhere(data.theta_in.size)
     view = data.view(data.theta_in, data.theta_out, aperture)
 
@@ -300,7 +303,7 @@ def _angle_errors(data: _Data, aperture: Aperture, parameters: tuple[float, floa
         ErrorSource(f"angle: {name}", "angle", size * effect, groups, shared_by_wavelengths=True)
         for name, effect, groups, size in (
             ("detector stage", by_detector, None, dataset.u_angle),
-            ("sample stage", by_sample + irradiance, incidence, dataset.u_angle),
+            ("sample stage", by_sample + irradiance, visit, dataset.u_angle),
             ("sample stage at the reference", irradiance, incidence, dataset.u_angle),
             ("detector zero", by_detector, shared, dataset.u_zero),
             ("sample zero", by_sample, shared, dataset.u_zero),

@@ -324,6 +324,8 @@ def _spread(places: FloatArray, distance: float) -> FloatArray:
 
     With the required distances taken off, this is an isotonic regression (pool adjacent violators).
     """
+    if not places.size:
+        return places
     order = np.argsort(places)
     blocks: list[list[float]] = []  # sum and number of members
     for i, place in enumerate(places[order]):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.dataset import LEFT_OUT, MEANING, Dataset, Flag
+from goniometer.dataset import IN_FITS, MEANING, Dataset, Flag
 
 LEAST_SIGNAL_FOR_HUE = 20.0
 """Signal over standard uncertainty from the counts below which the hue of a spectrum is noise."""
@@ -67,8 +67,6 @@ def flag_sentences(dataset: Dataset) -> tuple[str, ...]:
     sentences = []
     for flag in Flag:
         count, total = int(dataset.flagged(flag).sum()), dataset.flags.size
-        if count and flag & LEFT_OUT:
-            sentences.append(f"{count} of {total} points are left out: {MEANING[flag]}.")
-        elif count:
-            sentences.append(f"{count} of {total} points are {MEANING[flag]} and fitted all the same.")
+        if count:
+            sentences.append(f"{count} of {total} points are {IN_FITS[flag]}: {MEANING[flag]}.")
     return tuple(sentences)

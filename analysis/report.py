@@ -17,6 +17,7 @@ from analysis.report_measured import measured_chapter, shift_chapter
 from analysis.report_models import MODEL_NAMES, models_chapter
 from analysis.report_quality import budget_chapter, quality_chapter, warnings
 from analysis.results import SampleAnalysis
+from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
 
@@ -28,12 +29,12 @@ class RunFacts:
     """Points that a scan at every degree of theta_out would have had."""
     bench_time: float
     """Seconds from the first move to the last exposure."""
-    certificate: str
-    """Which certificate the reference panel has, in words."""
     blocked_points: int
     """Directions of a 1 degree grid in which the detector would block the source; a plan never asks for them."""
     failed_points: int
     """Directions that could not be measured."""
+    too_noisy: str
+    """Which points missed the wanted signal-to-noise ratio, as a sentence; empty where none did."""
     files: tuple[tuple[str, str], ...]
     """Path relative to the report, and what the file holds."""
     bsdf: BsdfReport | None = None
@@ -61,11 +62,11 @@ def report_html(analysis: SampleAnalysis, facts: RunFacts) -> str:
             measured_chapter(analysis),
             shift_chapter(analysis),
             models_chapter(analysis),
-            quality_chapter(analysis.dataset),
+            quality_chapter(analysis.dataset, facts.too_noisy),
             budget_chapter(analysis.dataset),
             _left_out(analysis, facts),
             _files(analysis, facts),
-            _lineage(analysis, facts),
+            _lineage(analysis.dataset),
         ]
     )
     return (
@@ -155,18 +156,12 @@ def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
     )
 
 
-def _lineage(analysis: SampleAnalysis, facts: RunFacts) -> str:
-    dataset = analysis.dataset
+def _lineage(dataset: Dataset) -> str:
     known = {
-        "certificate of the reference": facts.certificate,
         "data, SHA-256": dataset.content_hash,
         "standard uncertainty of a stage position (coverage factor 1)": f"{dataset.u_angle:g}°",
         "standard uncertainty of a stage's zero (coverage factor 1)": f"{dataset.u_zero:g}°",
-        **{
-            name.replace("_", " "): _short(value)
-            for name, value in dataset.lineage.items()
-            if name != "certificate" and value is not None
-        },
+        **{name.replace("_", " "): _short(value) for name, value in dataset.lineage.items() if value is not None},
     }
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in known.items())
     return f'<h2>Where the numbers come from</h2><div class="wide"><table><tbody>{rows}</tbody></table></div>'

@@ -10,7 +10,7 @@ from analysis.propagation import SAME_INCIDENCE
 from drivers.arrays import BoolArray
 from goniometer.angular import incidence_groups
 from goniometer.budget import USUAL_INCIDENT, USUAL_WAVELENGTH, budget, usual_direction
-from goniometer.dataset import LEFT_OUT, MEANING, Check, Dataset, Flag
+from goniometer.dataset import IN_FITS, MEANING, Check, Dataset, Flag
 from goniometer.errors import GeometryError, InputError
 
 _MARKS = {True: ("ok", "✓ passed"), False: ("bad", "✗ failed"), None: ("open", "? not known")}
@@ -37,14 +37,15 @@ def warnings(dataset: Dataset) -> str:
     return "\n".join(banners)
 
 
-def quality_chapter(dataset: Dataset) -> str:
-    """All checks and all flags of a dataset."""
+def quality_chapter(dataset: Dataset, too_noisy: str) -> str:
+    """All checks and all flags of a dataset, and a sentence on points that missed the wanted signal-to-noise ratio."""
     return (
         "<h2>Quality</h2>"
         "<p>Every dataset is asked the same questions. A failed one is a reason to look before the numbers are used; "
         "a flagged direction is kept in every picture and file, and the table says what the fits do with it.</p>"
         + _checks(dataset.checks)
         + _flags(dataset)
+        + (f"<p>{escape(too_noisy)}</p>" if too_noisy else "")
     )
 
 
@@ -72,7 +73,7 @@ def _flags(dataset: Dataset) -> str:
             rows.append(
                 f"<tr><td>{MEANING[flag]}</td>"
                 f'<td class="number">{int(marked.sum())} of {marked.size}</td><td>{_where(dataset, marked)}</td>'
-                f"<td>{'left out' if flag & LEFT_OUT else 'fitted all the same'}</td></tr>"
+                f"<td>{IN_FITS[flag]}</td></tr>"
             )
     if not rows:
         return "<p>No direction is flagged.</p>"
@@ -98,7 +99,7 @@ def _where(dataset: Dataset, marked: BoolArray) -> str:
 
 
 def budget_chapter(dataset: Dataset) -> str:
-    """What the uncertainty of one value is made of: the mirror direction at the incident angle nearest 45 degrees."""
+    """What the uncertainty of one value is made of, in the `usual_direction`."""
     theta_in, theta_out = usual_direction(dataset)
     title = "<h2>Uncertainty budget</h2>"
     try:
@@ -106,8 +107,8 @@ def budget_chapter(dataset: Dataset) -> str:
     except (GeometryError, InputError) as fault:
         return f"{title}<p>There is none for the usual direction: {escape(str(fault))}.</p>"
     return (
-        f"{title}<p>What makes one value uncertain, in the mirror direction at the incident angle nearest "
-        f"{USUAL_INCIDENT:g}° and at the wavelength nearest {USUAL_WAVELENGTH:g} nm.</p>"
+        f"{title}<p>What makes one value uncertain, as near as was measured to the mirror direction at the incident "
+        f"angle nearest {USUAL_INCIDENT:g}°, and at the wavelength nearest {USUAL_WAVELENGTH:g} nm.</p>"
         + budget_table(found)
         + figure(budget_panels(dataset, theta_in, theta_out), PANELS)
     )

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from analysis.fit_json import strict_json
+from api.datasets import find_datasets
+from api.terminal import screen
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -14,6 +16,16 @@ DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name o
 DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 DATABASE = Path("goniometer.db")
+
+
+def chosen_dataset(store: Store, name: str) -> int:
+    """Id of the dataset `name`; of several of one sample the newest, which is said on stderr. Raises `NotInStore`."""
+    *others, newest = find_datasets(store, name)
+    if others:
+        known = f"{', '.join(map(str, others))} and {newest}"
+        told = f"{store.scan(store.datasets()[newest]).sample} has datasets {known}; taking {newest}, name a number"
+        screen.print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)
+    return newest
 
 
 def emit(content: dict[str, Any]) -> None:

@@ -15,16 +15,17 @@ import typer
 from rich.console import Console
 
 from analysis.errors import AnalysisError
-from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, emit, existing
+from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
 from api.cli_quality import register as add_quality
+from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug
 from api.display import duration, progress_display
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
-from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, find_dataset, run
+from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
@@ -153,12 +154,14 @@ def plan(campaign: CampaignFile, as_json: AsJson = False) -> None:
 def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """What is in the database, and what is running."""
     store = existing(database)
-    found = [asdict(scan) for scan in store.scans()]
+    scans = store.scans()
+    found = [asdict(scan) for scan in scans]
     running = store.in_use()
-    for entry in found:
+    for scan, entry in zip(scans, found, strict=True):
         entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and not running
         points = store.points(entry["id"])
         entry["points_done"] = sum(point.status == "done" for point in points)
+        entry["too_noisy"] = too_noisy(store, scan)
         entry["datasets"] = list(store.datasets(entry["id"]))
     if as_json:
         emit({"database": str(database), "campaigns": store.campaigns(), "scans": found})
@@ -201,7 +204,7 @@ def fit(
 ) -> None:
     """Fit a dataset again and store the fits beside the earlier ones."""
     store = existing(database)
-    found = fit_dataset(store, find_dataset(store, dataset), model)
+    found = fit_dataset(store, chosen_dataset(store, dataset), model)
     if as_json:
         emit(found)
         return
@@ -220,7 +223,7 @@ def export(
 ) -> None:
     """Write a dataset's fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
-    _tell_export(export_dataset(store, find_dataset(store, dataset), to, path), as_json=as_json)
+    _tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path), as_json=as_json)
 
 
 add_characterisations(app)
@@ -236,7 +239,7 @@ def report(
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
     store = existing(database)
-    _tell_export(report_dataset(store, find_dataset(store, dataset), path), as_json=as_json)
+    _tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
 
 
 def _tell_export(written: Export, *, as_json: bool) -> None:

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, emit, existing
+from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.datasets import make_dataset, uncalibrated_scan
 from api.quality import (
     budget_content,
     budget_lines,
@@ -14,11 +15,9 @@ from api.quality import (
     dataset_budget,
     quality,
     quality_lines,
-    recalibrate,
     settings_of,
     write_budget,
 )
-from api.service import find_dataset
 from goniometer.certificate import Override
 from goniometer.errors import InputError
 
@@ -45,7 +44,7 @@ def budget(
 ) -> None:
     """What the uncertainty of a measured value consists of, at the measured direction nearest to the one given."""
     store = existing(database)
-    dataset_id = find_dataset(store, dataset)
+    dataset_id = chosen_dataset(store, dataset)
     read = store.dataset(dataset_id)
     found = dataset_budget(read, theta_in, theta_out, wavelength)
     written = None if path is None else write_budget(read, found, path).path
@@ -65,8 +64,7 @@ def budget(
 def check(dataset: DatasetName, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Sanity checks of a dataset and its flagged points; fails where a check failed."""
     store = existing(database)
-    dataset_id = find_dataset(store, dataset)
-    found = quality(dataset_id, store.dataset(dataset_id))
+    found = quality(store, chosen_dataset(store, dataset))
     if as_json:
         emit(found)
     else:
@@ -91,7 +89,7 @@ def calibrate(
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate the raw data of a dataset anew; the new dataset stands beside the old one."""
+    """Calibrate the raw data of a dataset anew, or of a measured sample that has none; older datasets stay."""
     override = None
     if override_name is not None and override_reason is not None:
         override = Override(override_name, override_reason)
@@ -99,10 +97,15 @@ def calibrate(
         raise InputError("An override needs both --override-name and --override-reason.")
     settings = settings_of(without or [], also or [])
     store = existing(database)
-    old = find_dataset(store, dataset)
-    new = recalibrate(store, old, certificate, settings, override)
+    old: int | None = None
+    if (waiting := uncalibrated_scan(store, dataset)) is not None:
+        scan_id = waiting.id
+    else:
+        old = chosen_dataset(store, dataset)
+        scan_id = store.datasets()[old]
+    new = make_dataset(store, scan_id, made_from=old, certificate=certificate, settings=settings, override=override)
     made = store.dataset(new)
-    found = quality(new, made) | {
+    found = quality(store, new) | {
         "recalibrated_from": old,
         "certificate": made.lineage["certificate"],
         "corrections": made.lineage["corrections"],
@@ -112,9 +115,10 @@ def calibrate(
         return
     corrections = made.lineage["corrections"]
     assert isinstance(corrections, dict)  # by name, as calibration writes them
+    origin = f"scan {scan_id}" if old is None else f"dataset {old}"
     told = ", ".join(f"{name} {state}" for name, state in corrections.items())
     first = (
-        f"Made dataset {new} from the raw data of dataset {old}, with the certificate {made.lineage['certificate']}.",
+        f"Made dataset {new} from the raw data of {origin}, with the certificate {made.lineage['certificate']}.",
         f"Corrections: {told}",
     )
     _show([*first, *quality_lines(found)[1:]])

@@ -16,7 +16,9 @@ from rich.table import Table
 
 from analysis.notation import roughly, with_uncertainty
 from analysis.results import ColourDifferences
+from api.datasets import too_noisy
 from goniometer.dataset import MEANING, Dataset
+from goniometer.lineage import own_datasets
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.store import Store
@@ -44,12 +46,15 @@ class SampleOutcome:
     bench_seconds: float
     """Time that the points took on the bench."""
     dataset_id: int | None
+    """The newest that the campaign made; what somebody calibrated anew stands beside it."""
     checks: list[dict[str, Any]]
     """What the dataset's sanity checks found: name, passed (null where the data do not tell), message."""
     flagged_points: dict[str, int]
     """Flag in words -> how many points carry it."""
     left_out_points: int
     """Measured points that the fits leave out because of a flag."""
+    too_noisy: str
+    """Which points missed the wanted signal-to-noise ratio, as a sentence; empty where none did."""
     certificate_override: str
     """Who used an expired or missing certificate of the reference and why; empty where nobody had to."""
     dE00: dict[str, dict[str, dict[str, float]]]  # noqa: N815  (the field's own spelling)
@@ -73,8 +78,7 @@ def outcomes(store: Store, campaign_id: int, *, truth: bool) -> list[SampleOutco
 
 def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOutcome:
     points = store.points(scan.id)
-    datasets = store.datasets(scan.id)
-    dataset_id = max(datasets, default=None)
+    dataset_id = max(own_datasets(store, scan.id), default=None)
     analysis: dict[str, Any] = {}
     files: list[str] = []
     dataset: Dataset | None = None
@@ -101,6 +105,7 @@ def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOu
         checks=[] if dataset is None else [asdict(check) for check in dataset.checks],
         flagged_points={} if dataset is None else _flagged_points(dataset),
         left_out_points=0 if dataset is None else int(np.sum(~dataset.usable)),
+        too_noisy=too_noisy(store, scan),
         certificate_override="" if dataset is None else str(dataset.lineage.get("certificate_override") or ""),
         dE00=differences,
         parameters={
@@ -185,6 +190,8 @@ def remarks(samples: list[SampleOutcome]) -> list[str]:
                 lines.append(f"{sample.sample}: the check of {check['name']} failed. {check['message']}")
         if sample.left_out_points:
             lines.append(f"{sample.sample}: {sample.left_out_points} flagged points take no part in the fits.")
+        if sample.too_noisy:
+            lines.append(f"{sample.sample}: {sample.too_noisy}")
         if sample.failed_points:
             lines.append(f"{sample.sample}: {sample.failed_points} points failed and are absent from every result.")
     lines += [f"{sample.sample}: {_folder(sample)}" for sample in samples if sample.files]

@@ -1,7 +1,6 @@
-"""How good a dataset is: its sanity checks, its uncertainty budget, and calibrating it anew from the same raw data."""
+"""How good a dataset is: its sanity checks, its uncertainty budget, and the corrections with which it is calibrated."""
 
-import hashlib
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +8,10 @@ from rich import box
 from rich.table import Table
 
 from analysis.budget_figure import budget_page, budget_panels, relative_in_words, share_in_words, side_by_side
+from api.datasets import too_noisy
 from api.derive import Export, write_text
 from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
-from goniometer.calibration import calibrate_scan
-from goniometer.certificate import Override
-from goniometer.certificate_file import parse_certificate, read_certificate
-from goniometer.dataset import LEFT_OUT, MEANING, Check, Dataset, Flag
+from goniometer.dataset import IN_FITS, MEANING, Check, Dataset, Flag
 from goniometer.errors import InputError
 from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
 from goniometer.store import Store
@@ -31,15 +28,19 @@ def flag_counts(dataset: Dataset) -> list[dict[str, Any]]:
             "flag": str(flag.name).lower().replace("_", " "),
             "meaning": MEANING[flag],
             "points": count,
-            "in_fits": "left out" if flag in LEFT_OUT else "weighted by their uncertainty",
+            "in_fits": IN_FITS[flag],
         }
         for flag, count in counts.items()
         if count
     ]
 
 
-def quality(dataset_id: int, dataset: Dataset) -> dict[str, Any]:
-    """Checks and flags of a dataset, as JSON content; `passed` is false where any check failed."""
+def quality(store: Store, dataset_id: int) -> dict[str, Any]:
+    """Checks and flags of a dataset, as JSON content; `passed` is false where any check failed.
+
+    Raises `NotInStore`.
+    """
+    dataset = store.dataset(dataset_id)
     return {
         "dataset": dataset_id,
         "sample": dataset.sample,
@@ -47,6 +48,7 @@ def quality(dataset_id: int, dataset: Dataset) -> dict[str, Any]:
         "checks": [asdict(check) for check in dataset.checks],
         "points": dataset.theta_in.size,
         "flags": flag_counts(dataset),
+        "too_noisy": too_noisy(store, store.scan(store.datasets()[dataset_id])),
         "certificate_override": dataset.lineage.get("certificate_override"),
     }
 
@@ -58,10 +60,12 @@ def quality_lines(found: dict[str, Any]) -> list[str]:
         lines.append(f"! {found['certificate_override']}")
     lines += [check_line(Check(**check)) for check in found["checks"]]
     lines += [
-        f"{each['points']} of {found['points']} points: {each['meaning']} ({each['in_fits']} in the fits)"
+        f"{each['points']} of {found['points']} points: {each['meaning']} ({each['in_fits']})"
         for each in found["flags"]
     ]
-    return lines if found["flags"] else [*lines, f"No flag on any of the {found['points']} points"]
+    if not found["flags"]:
+        lines.append(f"No flag on any of the {found['points']} points")
+    return [*lines, found["too_noisy"]] if found["too_noisy"] else lines
 
 
 def check_line(check: Check) -> str:
@@ -74,11 +78,14 @@ def dataset_budget(
 ) -> Budget:
     """The budget at a direction (degrees) and wavelength (nm).
 
-    What is not given is the incident angle nearest 45 degrees, the mirror direction, and 600 nm. Raises what
-    `goniometer.budget.budget` raises.
+    What is not given is the incident angle nearest 45 degrees, the mirror direction, or what was measured nearest to
+    it, and 600 nm. Raises what `goniometer.budget.budget` raises.
     """
-    incident = usual_direction(dataset)[0] if theta_in is None else theta_in
-    reflected = incident if theta_out is None else theta_out
+    incident, reflected = usual_direction(dataset)
+    if theta_in is not None:
+        incident = reflected = theta_in
+    if theta_out is not None:
+        reflected = theta_out
     return budget(dataset, incident, reflected, USUAL_WAVELENGTH if wavelength is None else wavelength)
 
 
@@ -157,22 +164,3 @@ def settings_of(without: list[str], also: list[str]) -> Settings:
     if contrary := set(without) & set(also):
         raise InputError(f'The correction "{min(contrary)}" is asked for both with and without; decide on one.')
     return Settings(corrections=(DEFAULT_CORRECTIONS - set(without)) | set(also))
-
-
-def recalibrate(
-    store: Store, dataset_id: int, certificate: Path | None, settings: Settings, override: Override | None
-) -> int:
-    """Calibrate the raw data of a dataset anew and write the result beside it; returns the id of the new dataset.
-
-    `certificate` is the CSV file of a certificate, None for the one that the dataset has. Raises `NotInStore` where
-    there is no such dataset, `CertificateError` where the certificate cannot be used, and `CalibrationError`.
-    """
-    text = store.dataset_certificate(dataset_id) if certificate is None else read_certificate(certificate)
-    where = f"certificate of dataset {dataset_id}" if certificate is None else str(certificate)
-    panel = None if text is None else parse_certificate(text, where)
-    scan_id = store.datasets()[dataset_id]
-    dataset = calibrate_scan(store, scan_id, settings, panel, override)
-    lineage = dataset.lineage | {"recalibrated_from": dataset_id}
-    if text is not None:
-        lineage |= {"certificate_sha256": hashlib.sha256(text.encode()).hexdigest()}
-    return store.add_dataset(scan_id, replace(dataset, lineage=lineage), text)

@@ -10,28 +10,33 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, date, datetime
 from pathlib import Path
 
+import numpy as np
 from usb.backend import IBackend
 
 from analysis.errors import AnalysisError
 from analysis.report import RunFacts
+from api.datasets import make_dataset, too_noisy
 from api.derive import REPORT, Derived, derive, end_with_parent, slug
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
-from goniometer.calibration import calibrate_scan, certificate_of, check_certificate
+from goniometer.calibration import check_certificate
 from goniometer.campaign import Campaign
-from goniometer.certificate import Override
-from goniometer.certificate_file import certificate_csv, read_certificate
+from goniometer.certificate import NOMINAL_SRS99, Override
+from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
 from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, CertificateError, NotInStore, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
-from goniometer.plan import plan_spec, uniform_grid_size
+from goniometer.lineage import lacks_dataset, own_datasets
+from goniometer.plan import plan_spec, reference_points, uniform_grid_size
 from goniometer.records import Scan
+from goniometer.response import STANDARD
 from goniometer.safety import Forbidden, check_plan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
@@ -216,12 +221,7 @@ async def run(
     fitted does not stop the others. Raises `StoreBusy` and what `run_campaign` raises.
     """
     certificate = panel_certificate(campaign, settings)
-    override = campaign.reference.override
-    check_certificate(
-        certificate,
-        campaign.reference.certificate or "the simulated panel",
-        None if override is None else Override(override.name, override.reason),
-    )
+    _check_certificate(store, campaign, certificate)
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
@@ -234,21 +234,24 @@ async def run(
 
         def finished(scan: Scan) -> None:
             try:
-                dataset = calibrate_scan(store, scan.id)
+                made = make_dataset(store, scan.id)
             except (CalibrationError, CertificateError) as error:
                 failures.append(f"{scan.sample}: {error}")
                 return
-            dataset_id = store.add_dataset(scan.id, dataset)
-            waiting[dataset_id] = start_derivation(executor, store, scan, dataset, output)
+            waiting[made] = start_derivation(executor, store, scan, store.dataset(made), output)
 
         # a campaign that has begun must not have changed since; a new one is written once the bench answers
         known = campaign.name in store.campaigns().values()
         campaign_id = store.add_campaign(campaign, certificate) if known else None
-        if campaign_id is None or not _measured(store, campaign_id):
+        if campaign_id is None or any(scan.outcome != "completed" for scan in store.scans(campaign_id)):
             async with open_bench(settings, campaign.seed, watch.mount) as (instrument, mount):
                 campaign_id = await run_campaign(
                     store, campaign, instrument, mount, watch.report, finished, certificate
                 )
+        else:
+            for scan in store.scans(campaign_id):
+                if lacks_dataset(store, scan):
+                    finished(scan)
         for scan in store.scans(campaign_id):
             missing = _underived_dataset(store, scan, output)
             if missing is not None and missing not in waiting:
@@ -275,6 +278,21 @@ def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -
     if path is not None:
         return read_certificate(Path(path))
     return certificate_csv(PANEL_CERTIFICATE) if settings is None else None
+
+
+def _check_certificate(store: Store, campaign: Campaign, text: str | None) -> None:
+    """Raise `CertificateError` where a certificate cannot calibrate what the campaign wants to measure."""
+    where = campaign.reference.certificate or "the simulated panel"
+    override = campaign.reference.override
+    begun = [
+        store.scans(campaign_id)[0].started for campaign_id, name in store.campaigns().items() if name == campaign.name
+    ]
+    day = next((date.fromisoformat(started[:10]) for started in begun if started), datetime.now(UTC).date())
+    check_certificate(text, where, None if override is None else Override(override.name, override.reason), day)
+    panel = NOMINAL_SRS99 if text is None else parse_certificate(text, where)
+    points = reference_points(plan_spec(campaign), campaign.reference.step)
+    theta_in, theta_out = np.array([(point.theta_in, point.theta_out) for point in points]).T
+    panel.brdf(theta_in, theta_out, np.array([STANDARD.lowest, STANDARD.highest]))
 
 
 def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> None:
@@ -306,17 +324,12 @@ def _check_folders(store: Store, campaign: Campaign) -> None:
             )
 
 
-def _measured(store: Store, campaign_id: int) -> bool:
-    """Whether nothing of a campaign is left to measure or to calibrate."""
-    return all(
-        scan.outcome == "completed" and (scan.kind != "sample" or bool(store.datasets(scan.id)))
-        for scan in store.scans(campaign_id)
-    )
-
-
 def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
-    """The newest dataset of a scan if its fits, or one of the files that belong to it in `output`, are missing."""
-    dataset_id = max(store.datasets(scan.id), default=None)
+    """The newest dataset of a scan if its fits, or one of the files that belong to it in `output`, are missing.
+
+    Those that somebody made anew from another one do not count: the files are those of the campaign.
+    """
+    dataset_id = max(own_datasets(store, scan.id), default=None)
     if dataset_id is None:
         return None
     folder = (output / slug(scan.sample)).resolve()
@@ -345,7 +358,6 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
     campaign = store.campaign(scan.campaign_id)
     spec = plan_spec(campaign)
     points = store.points(scan.id)
-    certificate = certificate_of(store, scan.campaign_id)
     blocked = sum(
         sum(abs(t + out) < BLOCKED_HALF_WIDTH for out in range(round(spec.lowest), round(spec.highest) + 1))
         for t in spec.theta_in
@@ -353,26 +365,11 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
     return RunFacts(
         uniform_points=uniform_grid_size(spec),
         bench_time=sum(point.seconds for point in points),
-        certificate=certificate.serial_number,
         blocked_points=blocked,
         failed_points=sum(point.status == "failed" for point in points),
+        too_noisy=too_noisy(store, scan),
         files=(),
     )
-
-
-def find_dataset(store: Store, name: str) -> int:
-    """Id of the dataset `name`: a number, or the name of a sample, of which the newest is taken.
-
-    Raises `NotInStore` with the names that there are.
-    """
-    datasets = {dataset_id: store.scan(scan_id).sample for dataset_id, scan_id in store.datasets().items()}
-    if name.isdecimal() and int(name) in datasets:
-        return int(name)
-    found = [dataset_id for dataset_id, sample in datasets.items() if sample.lower() == name.lower()]
-    if not found:
-        known = ", ".join(f'{dataset_id} ("{sample}")' for dataset_id, sample in datasets.items()) or "none yet"
-        raise NotInStore(f'There is no dataset "{name}"; there are: {known}.')
-    return max(found)
 
 
 def active_scan(store: Store) -> Scan:

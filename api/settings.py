@@ -4,10 +4,8 @@ A TOML file such as docs/instrument.toml, which shows every key. Without a file 
 fills in the same settings with the addresses at which its simulators answer.
 """
 
-import difflib
 import re
 import tomllib
-from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
@@ -28,6 +26,7 @@ from drivers.stage import Mounting
 from goniometer.constants import BenchData
 from goniometer.errors import ConfigurationError
 from goniometer.safety import Forbidden
+from goniometer.wording import key_path, nearest
 
 
 def _ascends(ends: tuple[float, float]) -> tuple[float, float]:
@@ -360,11 +359,11 @@ def _sentence(fault: ErrorDetails) -> str:
     model = _model_at(parts)
     # behind the name of a stage stands the driver that it was read for, which is no key of the file
     shown = [part for index, part in enumerate(parts) if not (index == 2 and parts[0] == "stages" and part in FAMILIES)]
-    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in shown).lstrip(".") or "top level"
+    where = key_path(shown) or "top level"
     given = fault["input"]
     match fault["type"]:
         case "extra_forbidden":
-            text = "unknown key; " + _nearest(str(parts[-1]), model.model_fields)
+            text = "there is no such key; " + nearest(str(parts[-1]), model.model_fields)
         case "missing" if isinstance(parts[-1], int):  # an end of a range
             text = "is missing; give two angles, [lowest, highest]"
         case "missing":
@@ -375,7 +374,7 @@ def _sentence(fault: ErrorDetails) -> str:
             text = f"this key is missing; give one of {', '.join(FAMILIES)}"
         case "union_tag_invalid":
             where += ".driver"
-            text = f"there is no driver {given['driver']!r}; {_nearest(str(given['driver']), FAMILIES)}"
+            text = f"there is no driver {given['driver']!r}; {nearest(str(given['driver']), FAMILIES)}"
         case "value_error":
             text = str(fault["ctx"]["error"])
         case "model_type" | "model_attributes_type":
@@ -384,12 +383,6 @@ def _sentence(fault: ErrorDetails) -> str:
             told = fault["msg"].replace("String should match pattern", "it must match")
             text = f"{given!r} is not possible: {told}".replace("Input should", "it must").replace("Tuple", "it")
     return f"{where}: {text}"
-
-
-def _nearest(given: str, known: Iterable[str]) -> str:
-    """The known name that was meant, or all of them."""
-    near = difflib.get_close_matches(given, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
 
 
 def _model_at(parts: list[Any]) -> type[BaseModel]:

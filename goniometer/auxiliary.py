@@ -14,7 +14,7 @@ from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Campaign
 from goniometer.errors import GeometryError
-from goniometer.exposure import DarkSignal, detector_of, take
+from goniometer.exposure import DarkSignal, detector_of, ladder, step_down, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import ARRIVAL, Instrument
 from goniometer.plan import monitor_direction, plan_spec
@@ -61,9 +61,11 @@ class Darks:
         sets = self._sets.setdefault(integration_time, [])
         if any(abs(dark.temperature - temperature) <= DARK_TEMPERATURE for dark in sets):
             return self.stored(integration_time, temperature)
-        began = self._instrument.clock.now()
-        spectra = [await self._instrument.dark(integration_time) for _ in range(DARKS)]
-        self._store.add_exposures(self._scan_id, "dark", spectra, (began + self._instrument.clock.now()) / 2)
+        instrument = self._instrument
+        began = instrument.clock.now()
+        spectra = [await instrument.dark(integration_time) for _ in range(DARKS)]
+        moment = (began + instrument.clock.now()) / 2
+        self._store.add_exposures(self._scan_id, "dark", spectra, instrument.session, moment)
         counts = np.stack([s.counts for s in spectra])
         sets.append(_signal(counts, float(np.mean([s.detector_temperature for s in spectra]))))
         return sets[-1]
@@ -121,14 +123,14 @@ class Auxiliary:
             spectra = [await instrument.expose(self._monitor_time)]
             moment = instrument.clock.now() - self._monitor_time / 2
             await self._has_dark(spectra)
-        self._store.add_exposures(self._scan_id, "monitor", spectra, moment, here)
+        self._store.add_exposures(self._scan_id, "monitor", spectra, instrument.session, moment, here)
         self._monitor_time = spectra[0].integration_time
         self._looked = instrument.clock.now()
 
     async def _take_stray(self, point: Geometry) -> None:
-        """`STRAY_SCANS` spectra of the longest integration time with the detector in front of the source."""
-        instrument = self._instrument
-        time = self._campaign.integration.maximum
+        """`STRAY_SCANS` spectra of the longest time that does not saturate, with the detector before the source."""
+        instrument, policy = self._instrument, self._campaign.integration
+        time, shortest = policy.maximum, ladder(policy)[0]
 
         async def go(facing: Geometry) -> Geometry:
             return await instrument.face_source(facing.theta_in)
@@ -137,9 +139,12 @@ class Auxiliary:
         here = await self._reach("stray light is not measured", go, facing, point)
         if here is not None:
             spectra = await instrument.sequence(time, STRAY_SCANS)
+            while time > shortest and any(s.counts.max() >= self._detector.saturation for s in spectra):
+                time = step_down(time, policy)
+                spectra = await instrument.sequence(time, STRAY_SCANS)
             moment = instrument.clock.now() - STRAY_SCANS * time / 2
             await self._has_dark(spectra)
-            self._store.add_exposures(self._scan_id, "stray", spectra, moment, here)
+            self._store.add_exposures(self._scan_id, "stray", spectra, instrument.session, moment, here)
         self._settled.add(point.theta_in)
 
     async def _reach(

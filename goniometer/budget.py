@@ -84,9 +84,16 @@ class Budget:
 
 
 def usual_direction(dataset: Dataset) -> tuple[float, float]:
-    """The mirror direction at the measured incident angle nearest 45 degrees: (theta_in, theta_out), degrees."""
-    nearest = float(dataset.theta_in[np.argmin(np.abs(dataset.theta_in - USUAL_INCIDENT))])
-    return nearest, nearest
+    """Where a budget is shown unless somebody asks for another direction: (theta_in, theta_out), degrees.
+
+    That of the point with a value at `USUAL_WAVELENGTH` that is nearest to the mirror direction of the measured
+    incident angle nearest `USUAL_INCIDENT`. At normal incidence the detector would stand in the beam there.
+    """
+    mirror = dataset.theta_in[np.argmin(np.abs(dataset.theta_in - USUAL_INCIDENT))]
+    away = np.hypot(dataset.theta_in - mirror, dataset.theta_out - mirror)
+    column = np.argmin(np.abs(dataset.wavelengths - USUAL_WAVELENGTH))
+    point = np.argmin(np.where(np.isfinite(dataset.brdf[:, column]), away, np.inf))
+    return float(dataset.theta_in[point]), float(dataset.theta_out[point])
 
 
 def nearest_point(dataset: Dataset, theta_in: float, theta_out: float) -> int:

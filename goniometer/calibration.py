@@ -27,7 +27,7 @@ from goniometer.dataset import Dataset, Flag
 from goniometer.drift import LampBetween, LampDrift, factor, lamp_between, lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.footprint import CLIPPED_BELOW, share_on_sample
-from goniometer.raw import RawScan, read_raw
+from goniometer.raw import RawScan, read_raw, sample_visits
 from goniometer.response import (
     STANDARD,
     Panel,
@@ -104,11 +104,14 @@ def calibrate(
         slopes=slopes,
         excess=excess,
         panel_errors=panel.errors(np.abs(known.read_theta_in), known.theta_out, centres),
-        stray_measured=bool(sample.stray),
+        stray_measured=bool(sample.stray) and bool(reference.stray),
         drift=drift,
         reference_drift=known.drift,
         between=between,
-        u_share=np.hypot(u_share, weights @ shares(reference, settings)[1]),
+        panel=weights @ panel.brdf(np.abs(known.read_theta_in), known.theta_out, centres),
+        visits=sample_visits(sample),
+        # the same field of view looks at sample and panel
+        u_share=u_share - weights @ shares(reference, settings)[1],
     )
     flags = noise_flags(brdf, noise)
     flags[sums.saturated.any(axis=1)] |= np.uint16(Flag.SATURATED)
@@ -125,14 +128,20 @@ def calibrate(
         u_angle=bench.u_angle,
         u_zero=bench.u_zero,
         aperture=0.0 if "aperture" in settings.corrections else bench.aperture,
-        lineage=_lineage(sample, reference, panel, settings, scans_between),
+        lineage=_lineage(sample, reference, panel, settings, scans_between, watched=between is not None),
     )
 
 
 def _lineage(
-    sample: RawScan, reference: RawScan, panel: Panel, settings: Settings, scans_between: Sequence[RawScan]
+    sample: RawScan,
+    reference: RawScan,
+    panel: Panel,
+    settings: Settings,
+    scans_between: Sequence[RawScan],
+    *,
+    watched: bool,
 ) -> dict[str, object]:
-    """What a dataset was made from."""
+    """What a dataset was made from; `watched` says whether monitors tell of the lamp all the way."""
 
     def exposures(raw: RawScan) -> dict[str, list[int]]:
         return {
@@ -145,8 +154,8 @@ def _lineage(
     made = {
         "dark": True,
         "non-linearity": True,
-        "stray light": bool(sample.stray),
-        "drift": len(sample.monitors) > 1 and len(reference.monitors) > 1,
+        "stray light": bool(sample.stray) and bool(reference.stray),
+        "drift": watched,
         "wavelength": True,
         "footprint": True,
         "aperture": True,
@@ -162,6 +171,8 @@ def _lineage(
         **{f"reference_{name}": ids for name, ids in exposures(reference).items()},
         "scans_between": [raw.scan_id for raw in scans_between],
         "certificate": panel.serial_number,
+        "certificate_calibrated": None if panel.calibrated is None else panel.calibrated.isoformat(),
+        "certificate_valid_until": None if panel.valid_until is None else panel.valid_until.isoformat(),
         "devices": {"spectrometer": sample.constants.spectrometer, **sample.constants.stages},
         "corrections": corrections,
         "parameters": {
@@ -230,22 +241,27 @@ def _sums(measured: Signal, known: Response, weights: FloatArray, total: Total, 
     # Reference points share their darks, so the error of a dark does not average out between them.
     darks = sum(((weights @ np.sqrt(total(u**2))) ** 2 for _, u in of_panel.dark), np.zeros_like(divisor))
     stray = (weights @ total(of_panel.u_stray)) ** 2
-    of_reference = weights @ total(of_panel.nonlinearity) / divisor
     ratio = total(measured.rate) / divisor * (1 - (counts + darks) / divisor**2)
     own = total(measured.variance)
     own_darks = tuple((name, np.sqrt(total(u**2)) / divisor) for name, u in measured.dark)
     noise = own / divisor**2 + sum((u**2 for _, u in own_darks), np.zeros_like(divisor))
+
+    def change(of_sample: FloatArray, of_reference: FloatArray) -> FloatArray:
+        """What one error that sample and reference have does to the ratio."""
+        return np.asarray((total(of_sample) - ratio * (weights @ total(of_reference))) / divisor)
+
     return Sums(
         ratio=ratio,
         u_random=np.sqrt(own) / divisor,
         u_dark=own_darks,
+        dark_left=change(measured.dark_left, of_panel.dark_left),
+        dark_warming=change(measured.dark_warming, of_panel.dark_warming),
         u_stray=total(measured.u_stray) / divisor,
-        stray=total(measured.stray) / divisor,
+        stray=change(measured.stray, of_panel.stray),
         u_reference_counts=np.abs(ratio) * np.sqrt(counts) / divisor,
         u_reference_dark=np.abs(ratio) * np.sqrt(darks) / divisor,
         u_reference_stray=np.abs(ratio) * np.sqrt(stray) / divisor,
-        reference_stray=(weights @ total(of_panel.stray)) / divisor * ratio,
-        nonlinearity=total(measured.nonlinearity) / divisor - ratio * of_reference,
+        nonlinearity=change(measured.nonlinearity, of_panel.nonlinearity),
         u_noise=np.sqrt(noise),
         saturated=(total(measured.saturated.astype(float)) > 0)
         | ((weights > 0) @ total(of_panel.saturated.astype(float)) > 0),
@@ -285,7 +301,9 @@ def calibrate_scan(
     if after is not None and after.kind == "spot" and after.outcome == "completed":
         spot = calibrate(read_raw(store, after.id), reference, certificate, settings, [*between, sample])
     drift = lamp_drift(sample)
-    made = drift is not None and "drift" in settings.corrections
+    corrections = dataset.lineage["corrections"]
+    assert isinstance(corrections, dict)  # by name, see above
+    made = corrections["drift"] == "made"
     found = checks(dataset, spot=spot, drift=None if drift is None else drift.largest, drift_corrected=made)
     lineage = dataset.lineage | {
         "certificate_override": overridden,
@@ -300,11 +318,13 @@ def certificate_of(store: Store, campaign_id: int) -> PanelCertificate:
     return NOMINAL_SRS99 if text is None else parse_certificate(text, f"certificate of campaign {campaign_id}")
 
 
-def check_certificate(text: str | None, path: str, override: Override | None, settings: Settings = STANDARD) -> None:
-    """Raise `CertificateError` where a certificate cannot serve a reference scan of today.
+def check_certificate(
+    text: str | None, path: str, override: Override | None, day: datetime.date, settings: Settings = STANDARD
+) -> None:
+    """Raise `CertificateError` where a certificate cannot serve a reference scan that is made on `day`.
 
     `text` is that of the file `path`, None where there is none.
     """
     certificate = NOMINAL_SRS99 if text is None else parse_certificate(text, path)
     certificate.check_covers(settings.lowest, settings.highest)
-    check_validity(certificate, datetime.datetime.now(datetime.UTC).date(), override)
+    check_validity(certificate, day, override)

@@ -234,9 +234,13 @@ def _unshared(mean: Averages) -> FloatArray:
     return combined(own, mean.values.shape)[:, 0]
 
 
+_MOVES = {"angle: sample stage", "angle: detector stage"}
+"""Errors of angles that another scan has anew; zeros, and the positions at the reference, are the same for both."""
+
+
 def _angle(mean: Averages) -> FloatArray:
     """[points] standard uncertainty of one band from what each move of a stage does anew."""
-    moves = tuple(s for s in mean.sources if s.part == "angle" and (s.groups is None or np.ptp(s.groups) > 0))
+    moves = tuple(source for source in mean.sources if source.name in _MOVES)
     return combined(moves, mean.values.shape)[:, 0]
 
 
@@ -251,7 +255,7 @@ def _noise_floor(dataset: Dataset) -> Check:
         f"wavelengths)"
     )
     if number <= points / 2:
-        return Check("noise floor", True, f"{found}; they count with the weight of their uncertainty.")
+        return Check("noise floor", True, f"{found}.")
     return Check("noise floor", False, f"{found}: allow longer integration times, or measure fewer dark directions.")
 
 

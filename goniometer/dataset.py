@@ -38,7 +38,13 @@ MEANING = {
 """Every flag in words."""
 
 LEFT_OUT = Flag.SATURATED | Flag.BEYOND_REFERENCE | Flag.CLIPPED
-"""Flags whose points the fits leave out; points with another flag are fitted with the weight of their uncertainty."""
+"""Flags whose points the fits leave out."""
+
+IN_FITS = {
+    Flag.BELOW_NOISE: "kept in fits of all points, without a slope of their own",
+    Flag.NEGATIVE: "kept",
+} | dict.fromkeys(LEFT_OUT, "left out of all fits")
+"""What the fits do with points of every flag, in words."""
 
 
 @dataclass(frozen=True)

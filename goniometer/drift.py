@@ -16,7 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.errors import CalibrationError
 from goniometer.raw import RawScan
 from goniometer.signal import linear
 from goniometer.uncertainty import Groups
@@ -46,9 +47,9 @@ class LampDrift:
     """Level and tilt at the last monitor."""
     pace: float
     """Relative change per second, root mean square between successive monitors."""
-    begin_moment: float
-    """Of the first monitor, seconds on the clock of its process."""
-    end_moment: float
+    begins: tuple[str, float]
+    """Session and moment, seconds, of the first monitor."""
+    ends: tuple[str, float]
     """Of the last one."""
     largest: float
     """Largest relative change of the level among the monitors."""
@@ -74,11 +75,12 @@ def lamp_drift(raw: RawScan) -> LampDrift | None:
     """What the monitors of a scan tell about its points; None where there are fewer than two."""
     if len(raw.monitors) < 2:
         return None
-    levels = _levels(raw)
+    levels, u_counts = _levels(raw)
     moments = np.array([m.moment for m in raw.monitors])
     first_ids = np.array([m.ids[0] for m in raw.monitors])
-    # a clock that goes back is that of another process, between whose moments nothing can be interpolated
-    runs = np.cumsum(np.concatenate([[0], np.diff(moments) < 0]))
+    # moments of two sessions cannot be compared, so nothing can be interpolated between them
+    sessions = [m.session for m in raw.monitors]
+    runs = np.cumsum([0, *(a != b for a, b in pairwise(sessions))])
     of_point = {shot.point: shot for shot in raw.shots}  # the last shot of a point stands for all of it
     shots = [of_point[i] for i in range(len(raw.planned))]
     before = np.array([np.searchsorted(first_ids, shot.ids[0]) - 1 for shot in shots], dtype=np.intp)
@@ -86,16 +88,17 @@ def lamp_drift(raw: RawScan) -> LampDrift | None:
     for i, shot in enumerate(shots):
         mine = runs == runs[max(before[i], 0)]
         found[i] = [np.interp(shot.moment, moments[mine], column[mine]) for column in levels.T]
-    u_interval, pace = _judged(levels[:, 0], moments, runs)
+    steady = np.diff(runs) == 0
+    u_interval = _interpolation(levels[:, 0], steady, u_counts, raw.constants.bench.u_lamp)
     return LampDrift(
         level=found[:, 0],
         tilt=found[:, 1],
         interval=before - before.min() if before.size else before,
         u_interval=u_interval,
         end=(float(levels[-1, 0]), float(levels[-1, 1])),
-        pace=pace,
-        begin_moment=float(moments[0]),
-        end_moment=float(moments[-1]),
+        pace=_pace(levels[:, 0], moments, steady),
+        begins=(sessions[0], float(moments[0])),
+        ends=(sessions[-1], float(moments[-1])),
         largest=float(np.abs(levels[:, 0]).max()),
     )
 
@@ -103,51 +106,64 @@ def lamp_drift(raw: RawScan) -> LampDrift | None:
 def lamp_between(scans: list[RawScan]) -> LampBetween | None:
     """Change of the lamp from the first monitor of the first of successive `scans` to the first of the last one.
 
-    None where one of them, the last included, has too few monitors.
+    A scan between them that has no monitors makes the pause longer. None where the first or the last has too few.
     """
     drifts = [lamp_drift(scan) for scan in scans]
-    if any(drift is None for drift in drifts):
+    if drifts[0] is None or drifts[-1] is None:
         return None
-    known = [drift for drift in drifts if drift is not None]
+    u_lamp = scans[0].constants.bench.u_lamp
     level, tilt, variance = 0.0, 0.0, 0.0
-    for here, then in pairwise(known):
+    for here, then in pairwise(drift for drift in drifts if drift is not None):
         level, tilt = (1 + level) * (1 + here.end[0]) - 1, tilt + here.end[1]
-        pause = then.begin_moment - here.end_moment
-        # of a pause that no clock tells the length of, the lamp's own change over the scan is the best guess
-        gap = here.pace * pause if pause >= 0 else here.largest
+        if here.ends[0] == then.begins[0]:
+            gap = max(here.pace, then.pace) * (then.begins[1] - here.ends[1])
+        else:  # nobody knows how long it was, or whether the lamp burned
+            gap = max(here.largest, u_lamp)
         variance += gap**2 + here.u_interval**2
     return LampBetween(level, tilt, float(np.sqrt(variance)))
 
 
-def _levels(raw: RawScan) -> FloatArray:
-    """[monitors, 2] level and tilt of each monitor relative to the first, by weighted least squares."""
+def _levels(raw: RawScan) -> tuple[FloatArray, float]:
+    """[monitors, 2] level and tilt of each monitor relative to the first, by weighted least squares.
+
+    Also the standard uncertainty of a level by the noise of the counts. Raises `CalibrationError` where the monitors
+    are saturated.
+    """
     parts = [linear(raw, shot, _COUNTED) for shot in raw.monitors]
     first = parts[0].rate
     unsaturated = ~np.any([part.saturated for part in parts], axis=0)
+    if not unsaturated.any():
+        raise CalibrationError(
+            f"The looks at the lamp of scan {raw.scan_id} are saturated; calibrate without the correction for drift"
+        )
     bright = unsaturated & (first > BRIGHT * first[unsaturated].max())
     shape = REFERENCE_WAVELENGTH / raw.constants.wavelengths[bright] - 1
     columns = np.stack([np.ones_like(shape), shape], axis=1)
     root_weight = np.sqrt(first[bright])  # relative shot noise falls with the root of the signal
     changes = np.array([part.rate[bright] / first[bright] - 1 for part in parts])
-    solution = np.linalg.lstsq(columns * root_weight[:, None], (changes * root_weight).T, rcond=None)[0]
-    return np.asarray(solution.T)
+    estimator = np.linalg.pinv(columns * root_weight[:, None]) * root_weight
+    variance = (parts[0].variance + parts[-1].variance)[bright] / first[bright] ** 2
+    return np.asarray(changes @ estimator.T), float(np.sqrt(estimator[0] ** 2 @ variance))
 
 
-def _judged(level: FloatArray, moments: FloatArray, runs: Groups) -> tuple[float, float]:
-    """Relative standard uncertainty of what is interpolated between monitors, and the pace of the drift per second."""
-    steady = np.diff(runs) == 0
-    steps = np.diff(level)[steady]
-    pace = float(np.sqrt(np.mean((steps / np.maximum(np.diff(moments)[steady], 1e-9)) ** 2))) if steps.size else 0.0
+def _pace(level: FloatArray, moments: FloatArray, steady: BoolArray) -> float:
+    """Relative change per second, root mean square over pairs of monitors of one session."""
+    steps, pauses = np.diff(level)[steady], np.diff(moments)[steady]
+    return float(np.sqrt(np.mean((steps / pauses) ** 2))) if steps.size else 0.0
+
+
+def _interpolation(level: FloatArray, steady: BoolArray, u_counts: float, u_lamp: float) -> float:
+    """Relative standard uncertainty of what is interpolated between monitors."""
     mean_squares = []
     for order in (2, 3):
         differences = np.diff(level, n=order)
-        # only those of which all monitors belong to one run
+        # only those of which all monitors belong to one session
         whole = [bool(steady[i : i + order].all()) for i in range(differences.size)]
-        differences = differences[whole]
-        mean_squares.append(float(np.mean(differences**2)) if differences.size else None)
+        mean_squares.append(float(np.mean(differences[whole] ** 2)) if any(whole) else None)
     second, third = mean_squares
     if second is None:
-        # two monitors say how much the lamp changed and not how; a straight line is at most this wrong
-        return float(np.abs(level).max()) / 2, pace
+        # two monitors say how much the lamp changed and not how it went there and back
+        return float(np.hypot(np.abs(level).max() / 2, u_lamp / 4))
     noise = second / 6 if third is None else min(third / 20, second / 6)
-    return float(np.sqrt(max(second - 6 * noise, 0.0) / 120 + 2 / 3 * noise)), pace
+    judged = np.sqrt(max(second - 6 * noise, 0.0) / 120 + 2 / 3 * noise)
+    return float(np.hypot(judged, u_counts))

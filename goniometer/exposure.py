@@ -29,6 +29,7 @@ from goniometer.campaign import Integration
 from goniometer.constants import Constants
 from goniometer.errors import CampaignError
 from goniometer.instrument import Instrument
+from goniometer.records import Point
 from goniometer.response import STANDARD
 
 BIN = STANDARD.bin_size
@@ -108,6 +109,8 @@ class Taken:
     moment: float
     """Mean time of the exposures, seconds on the clock of the bench."""
     brightness: Brightness
+    signal_to_noise: float
+    """Ratio that the spectra of the shortest time reach in the median bin."""
     reason: str
     """What is less than was wanted, as a sentence; empty otherwise."""
 
@@ -129,6 +132,12 @@ def ladder(policy: Integration) -> tuple[float, ...]:
     while times[-1] / 2 > policy.minimum:
         times.append(times[-1] / 2)
     return tuple(sorted({round(time * 1e6) / 1e6 for time in [policy.minimum, *times]}))
+
+
+def step_down(time: float, policy: Integration) -> float:
+    """Integration time, s, that is tried after a spectrum of `time` seconds was saturated; at least the shortest."""
+    times = ladder(policy)
+    return max((t for t in times if t <= time / STEP_DOWN), default=times[0])
 
 
 def check_limits(policy: Integration, instrument: Instrument) -> None:
@@ -286,7 +295,7 @@ async def take(
             if time == times[0]:
                 break
             ceiling = min(ceiling, time)
-            time = max((t for t in times if t <= time / STEP_DOWN), default=times[0])
+            time = step_down(time, policy)
         else:
             tried.add(time)
             better = _correct(time, probing, await look(spectra), policy, detector, ceiling)
@@ -298,13 +307,14 @@ async def take(
     while (missing := _missing(seen, time, len(spectra), policy, detector)) > 0:
         spectra = spectra + await expose(time, missing)
         seen = await look(spectra)
+    reached = signal_to_noise(seen.median, time, len(spectra), seen.read_variance, detector.gain)
     reason = _shortfall(seen, time, len(spectra), policy, detector)
     for more in longer(seen, time, len(spectra), policy, detector):
         added = await expose(more, policy.scans if policy.signal_to_noise is None else 1)
         await look(added)  # a stored spectrum always has its dark
         spectra = spectra + added
     light = sum(weight for _, weight in moments)
-    return Taken(spectra, sum(moment * weight for moment, weight in moments) / light, seen, reason)
+    return Taken(spectra, sum(moment * weight for moment, weight in moments) / light, seen, reached, reason)
 
 
 async def _one(instrument: Instrument, time: float) -> list[Spectrum]:
@@ -317,6 +327,22 @@ def _missing(seen: Brightness, time: float, scans: int, policy: Integration, det
         return policy.scans - scans
     needed = averages(seen.median, time, seen.read_variance, detector.gain, policy.signal_to_noise)
     return int(min(needed, most(time, policy))) - scans
+
+
+def below_wanted(points: Sequence[Point], wanted: float | None) -> str:
+    """Which of the `points` of a scan missed the `wanted` signal-to-noise ratio, as a sentence; empty where none did.
+
+    A point that did carries the reason.
+    """
+    short = [p for p in points if p.status == "done" and p.reason and p.signal_to_noise is not None]
+    if wanted is None or not short:
+        return ""
+    worst = min(short, key=lambda p: p.signal_to_noise or 0.0)
+    many = "1 point stayed" if len(short) == 1 else f"{len(short)} points stayed"
+    return (
+        f"{many} below the wanted signal-to-noise ratio, the worst at theta_in = {worst.geometry.theta_in:g} deg, "
+        f"theta_out = {worst.geometry.theta_out:g} deg: reached {worst.signal_to_noise:.3g} of {wanted:g}."
+    )
 
 
 def _shortfall(seen: Brightness, time: float, scans: int, policy: Integration, detector: Detector) -> str:

@@ -8,6 +8,7 @@ spectrum must have the integration time, the pixels and the detector temperature
 import asyncio
 import logging
 import math
+import uuid
 from collections.abc import Coroutine
 from typing import Any
 
@@ -71,6 +72,8 @@ class Instrument:
     ) -> None:
         self.clock = clock
         """The time in which the bench lives."""
+        self.session = uuid.uuid4().hex
+        """Names whose clock moments are read from: those of two sessions, as of two processes, cannot be compared."""
         self.forbidden = forbidden
         """Where the arm must never be."""
         self._sample_stage = sample_stage

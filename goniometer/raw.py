@@ -12,6 +12,7 @@ from goniometer.constants import Constants
 from goniometer.geometry import Geometry
 from goniometer.records import Exposure
 from goniometer.store import Store
+from goniometer.uncertainty import Groups
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,10 @@ class Shot:
     """[scans, pixels]"""
     temperature: float
     """Mean detector temperature, degrees Celsius."""
+    session: str
+    """Of the bench that took them; moments of two sessions cannot be compared."""
     moment: float
-    """When they were taken, seconds on the clock of the process that took them."""
+    """When they were taken, seconds on the clock of the session."""
     ids: tuple[int, ...]
     """Of the exposures in the database, ascending: they tell the order in which shots were taken."""
     point: int | None = None
@@ -72,6 +75,29 @@ class RawScan:
     """In one direction that is visited again and again, to see the lamp drift; in the order of time."""
 
 
+SAME_INCIDENCE = 0.05
+"""Degrees within which the sample stage need not have moved from one shot to the next."""
+
+
+def sample_visits(raw: RawScan) -> Groups:
+    """[points] number, from 0, of the visit of the sample stage to an incident angle; points of one share its error.
+
+    A visit ends where another incident angle is measured, or a monitor or stray light at another one.
+    """
+    places: list[tuple[int, float, int | None]] = [
+        (shot.ids[0], raw.planned[shot.point].theta_in, shot.point) for shot in raw.shots if shot.point is not None
+    ]
+    places += [(shot.ids[0], shot.geometry.theta_in, None) for shot in (*raw.stray, *raw.monitors)]
+    visits = np.zeros(len(raw.planned), dtype=np.intp)
+    visit, here = -1, None
+    for _, theta_in, point in sorted(places, key=lambda place: place[0]):
+        if here is None or abs(theta_in - here) > SAME_INCIDENCE:
+            visit, here = visit + 1, theta_in
+        if point is not None:
+            visits[point] = visit
+    return visits
+
+
 def read_raw(store: Store, scan_id: int) -> RawScan:
     """All measured points of a scan with everything that calibrates them; raises `NotInStore` before it has begun."""
     scan = store.scan(scan_id)
@@ -108,6 +134,7 @@ def _shots(exposures: list[Exposure], number: dict[int, int]) -> Iterable[Shot]:
             time,
             np.stack([e.counts for e in members]),
             float(np.mean([e.detector_temperature for e in members])),
+            members[0].session,
             moment,
             tuple(e.id for e in members),
             None if point_id is None else number[point_id],

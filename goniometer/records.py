@@ -68,6 +68,8 @@ class Point:
     """Why it failed or was skipped, or what is less than was wanted; empty otherwise."""
     seconds: float
     """Bench time that it took, seconds."""
+    signal_to_noise: float | None
+    """Ratio that its shortest exposures reached in the median bin; None until it is done."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,10 @@ class Exposure:
     """The point it belongs to; None for all but light."""
     geometry: Geometry | None
     """Where the stages stood, as read back; None for a dark."""
+    session: str
+    """Of the bench that took it; moments of two sessions cannot be compared."""
     moment: float
-    """When it was taken, seconds on the clock of the process that took it."""
+    """When it was taken, seconds on the clock of the session."""
     taken: str
     """When it was written, ISO 8601 in UTC."""
     integration_time: float
@@ -131,7 +135,16 @@ def to_point(row: Row[Any]) -> Point:
     read_back = None if row.read_theta_in is None else Geometry(row.read_theta_in, row.read_theta_out)
     geometry = Geometry(row.theta_in, row.theta_out)
     return Point(
-        row.id, row.scan_id, row.number, geometry, read_back, row.status, row.attempts, row.reason, row.seconds
+        row.id,
+        row.scan_id,
+        row.number,
+        geometry,
+        read_back,
+        row.status,
+        row.attempts,
+        row.reason,
+        row.seconds,
+        row.signal_to_noise,
     )
 
 
@@ -143,6 +156,7 @@ def to_exposure(row: Row[Any]) -> Exposure:
         row.kind,
         row.point_id,
         None if row.theta_in is None else Geometry(row.theta_in, row.theta_out),
+        row.session,
         row.moment,
         row.taken,
         row.integration_time,
@@ -156,6 +170,7 @@ def exposure_row(
     point_id: int | None,
     kind: ExposureKind,
     geometry: Geometry | None,
+    session: str,
     moment: float,
     spectrum: Spectrum,
 ) -> dict[str, object]:
@@ -166,6 +181,7 @@ def exposure_row(
         "kind": kind,
         "theta_in": None if geometry is None else geometry.theta_in,
         "theta_out": None if geometry is None else geometry.theta_out,
+        "session": session,
         "moment": moment,
         "integration_time": spectrum.integration_time,
         "counts": spectrum.counts.astype("<u4").tobytes(),

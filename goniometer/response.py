@@ -4,6 +4,7 @@ At a reference point R = s / (f_panel cos(theta_in)): counts per second for each
 the lamp as it was at the first monitor of the reference scan and a footprint that lies on the panel as a whole.
 """
 
+import datetime
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -51,6 +52,14 @@ class Panel(Protocol):
     def serial_number(self) -> str:
         """Names the certificate in everything derived from it."""
 
+    @property
+    def calibrated(self) -> datetime.date | None:
+        """Day of calibration; None for nominal values."""
+
+    @property
+    def valid_until(self) -> datetime.date | None:
+        """Last day of validity; None for nominal values."""
+
     def brdf(self, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
         """[points, wavelengths] 1/sr."""
 
@@ -83,28 +92,30 @@ def wavelengths_of(raw: RawScan, settings: Settings) -> FloatArray:
 def divided(measured: Signal, by: FloatArray) -> Signal:
     """A signal with everything in it divided by `by` [points, pixels]."""
     return Signal(
-        measured.rate / by,
-        measured.variance / by**2,
-        tuple((name, u / by) for name, u in measured.dark),
-        measured.stray / by,
-        measured.u_stray / by,
-        measured.nonlinearity / by,
-        measured.saturated,
+        rate=measured.rate / by,
+        variance=measured.variance / by**2,
+        dark=tuple((name, u / by) for name, u in measured.dark),
+        dark_left=measured.dark_left / by,
+        dark_warming=measured.dark_warming / by,
+        stray=measured.stray / by,
+        u_stray=measured.u_stray / by,
+        nonlinearity=measured.nonlinearity / by,
+        saturated=measured.saturated,
     )
 
 
 def shares(raw: RawScan, settings: Settings) -> tuple[FloatArray, FloatArray]:
-    """[points] share of the footprint on the sample, and its relative standard uncertainty.
+    """[points] share of the footprint on the sample, and its relative change for one standard uncertainty.
 
-    1 where it is not corrected for; what that neglects then counts as uncertainty.
+    1 where it is not corrected for; what that neglects then is the change.
     """
     bench = raw.constants.bench
     theta_out = np.array([g.theta_out for g in raw.read_back])
     share = share_on_sample(theta_out, bench.field_of_view, raw.diameter)
     if "footprint" not in settings.corrections:
-        return np.ones_like(share), 1 - share
+        return np.ones_like(share), share - 1
     wider = share_on_sample(theta_out, bench.field_of_view + bench.u_field_of_view, raw.diameter)
-    return share, np.abs(wider / share - 1)
+    return share, wider / share - 1
 
 
 def response(reference: RawScan, panel: Panel, settings: Settings = STANDARD) -> Response:

@@ -41,6 +41,7 @@ from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, St
 from goniometer.exposure import Brightness, Detector, brightness, check_limits, detector_of, predict, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
+from goniometer.lineage import lacks_dataset
 from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points, spot_points
 from goniometer.progress import Progress
 from goniometer.raw import RawScan, read_raw
@@ -89,10 +90,11 @@ async def run_campaign(
     `certificate` is the text of the panel's where the campaign names no file.
 
     The caller must hold `store.exclusive()`: whatever the database calls running then has lost its process.
-    `on_scan_finished` is called once the scan of a sample, and that of its spot, is complete, and for one that was
-    complete before but has no dataset, so that no fit is lost to a crash in between. Raises `CampaignError` (changed
-    content or certificate, impossible integration times), `GeometryError` (directions that the bench cannot take),
-    `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign: `DriverError`, ...
+    `on_scan_finished` is called once the scan of a sample is complete and that of its spot has ended, however it did,
+    and for one that was complete before but lacks its dataset, so that nothing is lost to what comes next. Raises
+    `CampaignError` (changed content or certificate, impossible integration times), `GeometryError` (directions that the
+    bench cannot take), `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign:
+    `DriverError`, ...
     """
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
@@ -101,18 +103,19 @@ async def run_campaign(
     before_spot = campaign.homogeneity is not None
     scans = store.scans(campaign_id)
     for scan in scans:
-        if scan.outcome != "completed":
-            await run_scan(store, scan.id, instrument, mount, report)
-        if scan.kind == "reference" or (scan.kind == "sample" and before_spot):
-            continue
-        sample = scans[scan.number - before_spot]
-        if not store.datasets(sample.id):
-            on_scan_finished(store.scan(sample.id))
+        try:
+            if scan.outcome != "completed":
+                await run_scan(store, scan.id, instrument, mount, report)
+        finally:  # what stops a spot must not keep its sample from being calibrated
+            if scan.kind == ("spot" if before_spot else "sample"):
+                sample = store.scan(scans[scan.number - before_spot].id)
+                if lacks_dataset(store, sample):
+                    on_scan_finished(sample)
     return campaign_id
 
 
 async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mount, report: Report) -> None:
-    """Run or resume one scan; returns when it is complete.
+    """Run or resume one scan; returns when it is complete, or is that of a spot where nothing can be compared.
 
     Whatever else ends it (see `run_campaign`) is written down as its outcome, after the bench has been made
     safe, and raised again.
@@ -123,6 +126,11 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
     store.clear_command(scan_id)
     store.set_phase(scan_id, "running")
     try:
+        if run.has_nothing_to_compare():
+            reason = f"No direction of {scan.sample} has a value with which another spot could be compared."
+            log.warning("%s", reason)
+            store.finish_scan(scan_id, "failed", reason)
+            return
         await run.unless_aborted(mount(scan))
         await run.measure()
         await instrument.safe()
@@ -264,6 +272,11 @@ class _Run:
         sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
         return spot_points(self._measured(sample), self.campaign.homogeneity.points)
 
+    def has_nothing_to_compare(self) -> bool:
+        """Whether this is the scan of a spot, and the sample before it has no direction fit to be measured again."""
+        points = self.store.points(self.scan.id)
+        return self.scan.kind == "spot" and not points and not self._plan(points)
+
     def _measured(self, scan: Scan) -> list[Measured]:
         """What the plan may know of a scan: bands of measured points, and nothing but the place of failed ones."""
         nothing = np.full(1, np.nan)
@@ -379,7 +392,10 @@ class _Run:
         predicted = predict(point.geometry.theta_out, self.seen.get(point.geometry.theta_in, []))
         taken = await take(self.instrument, self.detector, self.policy, predicted, self.darks.of)
         seconds = self.instrument.clock.now() - began
-        self.store.finish_point(point, read_back, taken.spectra, taken.moment, seconds, taken.reason)
+        session = self.instrument.session
+        self.store.finish_point(
+            point, read_back, taken.spectra, session, taken.moment, seconds, taken.signal_to_noise, taken.reason
+        )
         self._remember(point.geometry, taken.brightness)
         self.bench_seconds += seconds
 

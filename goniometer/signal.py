@@ -24,8 +24,8 @@ from goniometer.raw import Dark, RawScan, Shot
 STRAY_WINDOW = 51
 """Pixels over which stray light is smoothed; the lamp's spectrum is straight over so few."""
 
-SAME_INCIDENCE = 0.05
-"""Incident angles closer than this belong to one position of the sample stage, degrees."""
+DARK_DOUBLING = 6.0
+"""Degrees Celsius by which a silicon detector must be warmer for twice the dark current."""
 
 
 @dataclass(frozen=True)
@@ -38,42 +38,53 @@ class Signal:
     """Variance of `rate` by shot and read-out noise of the point's own spectra."""
     dark: tuple[tuple[str, FloatArray], ...]
     """For each set of dark spectra its name and the standard uncertainty that its noise gives; points share it."""
+    dark_left: FloatArray
+    """Dark signal that was not subtracted, because that was not wanted."""
+    dark_warming: FloatArray
+    """Dark signal by which a point differs from its dark spectra, because the detector was warmer or colder."""
     stray: FloatArray
-    """Stray light that was subtracted; zero where none was measured."""
+    """Stray light as measured, subtracted or not; zero where none was measured."""
     u_stray: FloatArray
     """Standard uncertainty of `stray` by noise; shared by the points of one incident angle."""
     nonlinearity: FloatArray
-    """Change of `rate` where the linearised signal errs by a relative 1 at full scale, in proportion to the counts."""
+    """Change of `rate` for one standard uncertainty of what the polynomial leaves, or by leaving it out."""
     saturated: BoolArray
     """Whether all shots of a point were saturated there."""
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """One shot, [pixels] in counts per second."""
+class Linear:
+    """One shot, [pixels] in counts per second; fields as those of `Signal`."""
 
     rate: FloatArray
     variance: FloatArray
     u_dark: FloatArray
+    dark_left: FloatArray
+    dark_warming: FloatArray
     nonlinearity: FloatArray
     saturated: BoolArray
     dark: int
     """Number of the set of dark spectra that was used."""
 
 
+_ADDED = ("rate", "dark_left", "dark_warming", "nonlinearity")
+"""What is averaged over the shots of a point as it is."""
+
+
 def signal(raw: RawScan, corrections: Set[str]) -> Signal:
     """The signal of every point; `corrections` may hold "dark", "non-linearity" and "stray light".
 
     Shot noise comes from the signal and the gain. The noise of a dark read-out (electronics and dark current) comes
-    from the scatter of the repeated darks, pooled over the pixels. What a correction that is left out would have
-    changed counts as uncertainty of its part. Raises `CalibrationError` where fewer than two darks of an integration
-    time exist, or a point has no shot.
+    from the scatter of the repeated darks, pooled over the pixels. Raises `CalibrationError` where there are no points,
+    a point has no shot, fewer than two darks of an integration time exist, or stray light is saturated.
     """
+    if not raw.planned:
+        raise CalibrationError(f"Scan {raw.scan_id} has no measured point; measure it first")
     shape = len(raw.planned), raw.constants.wavelengths.size
-    weight, kept = np.zeros(shape), np.zeros(shape)
-    rate, variance, nonlinearity = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    weight, variance, saturated = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=bool)
+    added = {name: np.zeros(shape) for name in _ADDED}
     u_dark = {number: np.zeros(shape) for number in range(len(raw.darks))}
-    shots = [[] for _ in range(shape[0])]  # type: list[list[Shot]]
+    shots: list[list[Shot]] = [[] for _ in range(shape[0])]
     for shot in raw.shots:
         assert shot.point is not None  # shots without a point are not among these
         shots[shot.point].append(shot)
@@ -83,44 +94,52 @@ def signal(raw: RawScan, corrections: Set[str]) -> Signal:
         parts = [linear(raw, shot, corrections) for shot in mine]
         lights = [len(shot.counts) * shot.integration_time for shot in mine]
         shortest = min(range(len(mine)), key=lambda i: mine[i].integration_time)
-        everywhere_saturated = np.all([part.saturated for part in parts], axis=0)
+        saturated[point] = np.all([part.saturated for part in parts], axis=0)
         for i, (part, light) in enumerate(zip(parts, lights, strict=True)):
-            w = light * ~part.saturated + (everywhere_saturated * light if i == shortest else 0.0)
+            w = light * ~part.saturated + (saturated[point] * light if i == shortest else 0.0)
             weight[point] += w
-            rate[point] += w * part.rate
             variance[point] += w**2 * part.variance
-            nonlinearity[point] += w * part.nonlinearity
             u_dark[part.dark][point] += w * part.u_dark
-        kept[point] = everywhere_saturated
-    rate, nonlinearity, variance = rate / weight, nonlinearity / weight, variance / weight**2
+            for name in _ADDED:
+                added[name][point] += w * getattr(part, name)
     dark = tuple((_name(raw.darks, i), u / weight) for i, u in u_dark.items() if u.any())
+    mean = {name: total / weight for name, total in added.items()}
     stray, u_stray = _stray(raw, corrections)
-    return Signal(rate - stray, variance, dark, stray, u_stray, nonlinearity, kept.astype(bool))
+    if "stray light" in corrections:
+        mean["rate"] = mean["rate"] - stray
+    return Signal(variance=variance / weight**2, dark=dark, stray=stray, u_stray=u_stray, saturated=saturated, **mean)
 
 
-def linear(raw: RawScan, shot: Shot, corrections: Set[str]) -> _Linear:
+def linear(raw: RawScan, shot: Shot, corrections: Set[str]) -> Linear:
     """One shot without its dark signal and made linear; raises as `signal` does."""
-    constants = raw.constants
+    constants, time, scans = raw.constants, shot.integration_time, len(shot.counts)
     number = _dark_of(raw, shot)
     darks = raw.darks[number].counts
     dark = darks.mean(axis=0)
     read_out = float(darks.var(axis=0, ddof=1).mean())
     above = shot.counts.mean(axis=0) - dark
     factor = np.polynomial.polynomial.polyval(above, constants.nonlinearity)
-    if "non-linearity" in corrections:
-        change = above / factor * above / constants.saturation
-    else:
-        # in units of the uncertainty that is stated for what the polynomial leaves
-        change = (above / factor - above) / constants.bench.u_nonlinearity
-        factor = np.ones_like(factor)
     true = above / factor
-    u_dark = np.sqrt(read_out / len(darks)) / factor
+    if "non-linearity" in corrections:
+        change = constants.bench.u_nonlinearity * true * above / constants.saturation
+    else:
+        change, true, factor = above - true, above, np.ones_like(factor)
+    u_dark, left = np.sqrt(read_out / len(darks)) / factor, np.zeros_like(dark)
     if "dark" not in corrections:
-        true, u_dark = true + dark / factor, dark / factor
-    time, scans = shot.integration_time, len(shot.counts)
-    variance = (np.maximum(above / factor, 0) / constants.bench.gain + read_out / factor**2) / scans / time**2
-    saturated = np.any(shot.counts >= constants.saturation, axis=0)
-    return _Linear(true / time, variance, u_dark / time, change / time, saturated, number)
+        u_dark, left = left, dark / factor
+    # what all integration times have is offset and not dark current
+    current = dark - min(raw.darks, key=lambda d: d.integration_time).counts.mean(axis=0)
+    warming = current * np.log(2) / DARK_DOUBLING * (shot.temperature - raw.darks[number].temperature)
+    return Linear(
+        rate=(true + left) / time,
+        variance=(np.maximum(true, 0) / constants.bench.gain + read_out / factor**2) / scans / time**2,
+        u_dark=u_dark / time,
+        dark_left=left / time,
+        dark_warming=warming / factor / time,
+        nonlinearity=change / time,
+        saturated=np.any(shot.counts >= constants.saturation, axis=0),
+        dark=number,
+    )
 
 
 def _dark_of(raw: RawScan, shot: Shot) -> int:
@@ -150,9 +169,13 @@ def _name(darks: tuple[Dark, ...], number: int) -> str:
 def _stray(raw: RawScan, corrections: Set[str]) -> tuple[FloatArray, FloatArray]:
     """[points, pixels] stray light and its standard uncertainty, from the shots at the nearest incident angle."""
     shape = len(raw.planned), raw.constants.wavelengths.size
-    if "stray light" not in corrections or not raw.stray:
+    if not raw.stray:
         return np.zeros(shape), np.zeros(shape)
     parts = [linear(raw, shot, corrections) for shot in raw.stray]
+    if any(part.saturated.any() for part in parts):
+        raise CalibrationError(
+            f"The stray light of scan {raw.scan_id} saturates the detector; look what shines into it, and measure again"
+        )
     levels = np.array([uniform_filter1d(part.rate, STRAY_WINDOW, mode="nearest") for part in parts])
     noises = np.array(
         [

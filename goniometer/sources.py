@@ -4,17 +4,20 @@
 |---|---|---|
 | random | shot and read-out noise of the point's own spectra | nobody |
 | dark | noise of the mean dark spectra of one integration time | points, not wavelengths |
+| | detector warmer than for its dark spectra | all |
 | reference | counts and darks of the reference scan | points of one incident angle; all points; not wavelengths |
 | | certificate, spread over directions of the panel | all |
 | non-linearity | what the detector's polynomial leaves, in proportion to the counts | all |
 | angle | zero of each stage | all |
-| | positions of the stages, now and when the reference was measured | wavelengths |
+| | position of the sample stage, now and at the reference | points of one visit or incident angle, wavelengths |
+| | position of the detector stage | wavelengths |
 | wavelength | shift of the wavelength scale | all |
 | drift | lamp between monitors; between the scans | points between two monitors; all |
 | aperture | its size; if corrected for, also what a parabola misses | all |
 | stray light | its noise; whether it is the same in all directions | points of one incident angle; all |
 | footprint | what the detector sees beyond the sample | all |
 
+A correction that was left out leaves its own size as uncertainty, or the stated bound where nothing was measured.
 Formulas: law of propagation of uncertainty (JCGM 100:2008, 5.1 and 5.2), first order in each error.
 """
 
@@ -44,16 +47,18 @@ class Sums:
     u_random: FloatArray
     u_dark: tuple[tuple[str, FloatArray], ...]
     """By set of dark spectra."""
+    dark_left: FloatArray
+    """Change by dark signals that were not subtracted."""
+    dark_warming: FloatArray
+    """Change by dark signals that were subtracted for another temperature."""
     u_stray: FloatArray
     stray: FloatArray
-    """Stray light that was subtracted."""
+    """Change by the measured stray light of sample and reference."""
     u_reference_counts: FloatArray
     u_reference_dark: FloatArray
     u_reference_stray: FloatArray
-    reference_stray: FloatArray
-    """How much the stray light of the reference scan changed the ratio."""
     nonlinearity: FloatArray
-    """Change for a relative error of 1 at full scale."""
+    """Change for one standard uncertainty of what the polynomial leaves, or by leaving it out."""
     weights: FloatArray
     """[points, reference points] of the interpolation between reference points."""
     panel: FloatArray
@@ -75,6 +80,8 @@ class Chain:
     """[points] degrees."""
     incidence: Groups
     """[points] number of the incident angle."""
+    visits: Groups
+    """[points] number of the visit of the sample stage."""
     wavelengths: FloatArray
     """[wavelengths] nm."""
     brdf: FloatArray
@@ -83,6 +90,8 @@ class Chain:
     """Of `brdf` over theta_out."""
     excess: FloatArray
     """[points, wavelengths] of the average over the aperture above the value at its centre, 1/sr."""
+    panel: FloatArray
+    """[points, wavelengths] BRDF of the panel in the same directions, 1/sr."""
     panel_errors: dict[str, FloatArray]
     """Relative, [reference points, wavelengths], by name."""
     stray_measured: bool
@@ -90,7 +99,8 @@ class Chain:
     reference_drift: LampDrift | None
     between: LampBetween | None
     u_share: FloatArray
-    """[points] relative standard uncertainty of the share of the footprint that lies on the sample."""
+    """[points] relative change of the share of the footprint on the sample, and on the panel, for one standard
+    uncertainty."""
 
 
 def error_sources(sums: Sums, chain: Chain) -> tuple[ErrorSource, ...]:
@@ -108,14 +118,15 @@ def error_sources(sums: Sums, chain: Chain) -> tuple[ErrorSource, ...]:
     add("random", "random", sums.u_random / cosine, None, shared=False)
     for name, u in sums.u_dark:
         add(f"dark: {name}", "dark", u / cosine, all_points, shared=False)
+    add("dark: temperature", "dark", sums.dark_warming / cosine, all_points, shared=True)
+    add("dark: not subtracted", "dark", sums.dark_left / cosine, all_points, shared=True)
     add("reference: counts", "reference", sums.u_reference_counts / cosine, chain.incidence, shared=False)
     add("reference: dark", "reference", sums.u_reference_dark / cosine, all_points, shared=False)
     f = np.where(valid, chain.brdf, 0.0)
     for name, relative in chain.panel_errors.items():
         of_point = sums.weights @ (sums.panel * relative) / sums.response
         add(f"reference: {name}", "reference", f * of_point, all_points, shared=True)
-    nonlinearity = chain.bench.u_nonlinearity * sums.nonlinearity / cosine
-    add("non-linearity", "non-linearity", nonlinearity, all_points, shared=True)
+    add("non-linearity", "non-linearity", sums.nonlinearity / cosine, all_points, shared=True)
     for name, values, sharing in _angles(chain, f):
         add(f"angle: {name}", "angle", values, sharing, shared=True)
     add("wavelength", "wavelength", _wavelength(chain, f), all_points, shared=True)
@@ -143,7 +154,7 @@ def _angles(chain: Chain, f: FloatArray) -> list[tuple[str, FloatArray, Groups |
     return [
         ("sample zero", -2 * slope * zero, all_points),
         ("detector zero", slope * zero, all_points),
-        ("sample stage", irradiance - 2 * slope * position, chain.incidence),
+        ("sample stage", irradiance - 2 * slope * position, chain.visits),
         ("sample stage at the reference", -irradiance, chain.incidence),
         ("detector stage", slope * position, None),
     ]
@@ -181,14 +192,16 @@ def _aperture(chain: Chain, f: FloatArray) -> FloatArray:
 
 
 def _stray_light(sums: Sums, chain: Chain, cosine: FloatArray) -> list[tuple[str, FloatArray, Groups, bool]]:
-    """Noise of the measured stray light, and its systematic part; only the stated bound where none was measured."""
+    """Noise of the measured stray light, and what is left of it; the stated bound where none was measured."""
     all_points = everywhere(chain.theta_in.size)
-    if "stray light" not in chain.settings.corrections or not chain.stray_measured:
-        stated = np.full_like(sums.ratio, chain.bench.u_stray_light)
-        return [("not measured", stated / cosine, all_points, True)]
-    systematic = STRAY_UNIFORMITY * (sums.stray - sums.reference_stray)
+    if not chain.stray_measured:
+        # the same light s falls into the measurement of sample and panel: it adds s (1 - f / f_panel)
+        change = chain.bench.u_stray_light * (1 - sums.ratio / (cosine * chain.panel))
+        return [("not measured", change / cosine, all_points, True)]
+    if "stray light" not in chain.settings.corrections:
+        return [("not subtracted", sums.stray / cosine, all_points, True)]
     return [
         ("counts", sums.u_stray / cosine, chain.incidence, False),
         ("counts of the reference", sums.u_reference_stray / cosine, chain.incidence, False),
-        ("the same in all directions", systematic / cosine, all_points, True),
+        ("the same in all directions", STRAY_UNIFORMITY * sums.stray / cosine, all_points, True),
     ]

@@ -281,19 +281,22 @@ class Store(Database):
         point: Point,
         read_back: Geometry,
         spectra: Sequence[Spectrum],
+        session: str,
         moment: float,
         seconds: float,
+        signal_to_noise: float,
         reason: str = "",
     ) -> None:
         """Write a measured point together with its raw exposures.
 
-        `moment` is when they were taken, on the clock of the bench; `reason` says what is less than was wanted.
-        Raises `StoreError`, and writes nothing, where the point is not being measured.
+        `moment` is when they were taken, on the clock of the `session` of the bench; `signal_to_noise` is the ratio
+        that was reached, and `reason` says what is less than was wanted. Raises `StoreError`, and writes nothing,
+        where the point is not being measured.
         """
         with self._writing() as connection:
             connection.execute(
                 insert(tables.exposures),
-                [exposure_row(point.scan_id, point.id, "light", read_back, moment, s) for s in spectra],
+                [exposure_row(point.scan_id, point.id, "light", read_back, session, moment, s) for s in spectra],
             )
             done = connection.execute(
                 update(tables.points)
@@ -304,6 +307,7 @@ class Store(Database):
                     read_theta_out=read_back.theta_out,
                     reason=reason,
                     seconds=tables.points.c.seconds + seconds,
+                    signal_to_noise=signal_to_noise,
                     finished=now(),
                 )
             )
@@ -328,16 +332,19 @@ class Store(Database):
         scan_id: int,
         kind: ExposureKind,
         spectra: Sequence[Spectrum],
+        session: str,
         moment: float,
         geometry: Geometry | None = None,
     ) -> None:
         """Write exposures of a scan that belong to no point: darks, stray light, monitors.
 
-        `moment` is when they were taken, on the clock of the bench; `geometry` where the stages stood, None for darks.
+        `moment` is when they were taken, on the clock of the `session` of the bench; `geometry` where the stages stood,
+        None for darks.
         """
         with self._writing() as connection:
             connection.execute(
-                insert(tables.exposures), [exposure_row(scan_id, None, kind, geometry, moment, s) for s in spectra]
+                insert(tables.exposures),
+                [exposure_row(scan_id, None, kind, geometry, session, moment, s) for s in spectra],
             )
 
     def exposures(self, scan_id: int) -> list[Exposure]:
@@ -371,6 +378,12 @@ class Store(Database):
         """A calibrated dataset, bit for bit as it was written; raises `NotInStore`."""
         row = self._one(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
         return to_dataset(row)
+
+    def lineage(self, dataset_id: int) -> dict[str, object]:
+        """What a dataset was derived from, without its numbers; raises `NotInStore`."""
+        query = select(tables.datasets.c.lineage).where(tables.datasets.c.id == dataset_id)
+        lineage: dict[str, object] = json.loads(self._one(query, f"dataset {dataset_id}").lineage)
+        return lineage
 
     def dataset_certificate(self, dataset_id: int) -> str | None:
         """Text of the certificate of a dataset, None where it is that of its campaign; raises `NotInStore`."""

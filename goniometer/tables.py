@@ -3,7 +3,7 @@
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors),
 scans 1-n datasets 1-n fits and exports; characterisations of the bench stand alone. Exposures and everything derived
 are only ever added: in SQLite, triggers refuse to change or delete them. Times are ISO 8601 texts in UTC; a moment is
-seconds on the clock of the process that measured.
+seconds on the clock of the session of the bench that measured, and moments of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
@@ -30,7 +30,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 metadata = MetaData()
 
@@ -89,6 +89,7 @@ points = Table(
     Column("attempts", Integer, nullable=False, default=0),
     Column("reason", Text, nullable=False, default=""),
     Column("seconds", Float, nullable=False, default=0.0),
+    Column("signal_to_noise", Float),
     Column("finished", String),
     CheckConstraint("status IN ('pending', 'running', 'done', 'failed', 'skipped')"),
     UniqueConstraint("scan_id", "number"),
@@ -107,6 +108,7 @@ exposures = Table(
     Column("detector_temperature", Float, nullable=False),
     Column("theta_in", Float),
     Column("theta_out", Float),
+    Column("session", String, nullable=False),
     Column("moment", Float, nullable=False),
     Column("taken", String, nullable=False),
     CheckConstraint("kind IN ('light', 'dark', 'stray', 'monitor')"),

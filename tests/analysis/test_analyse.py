@@ -32,7 +32,8 @@ def test_all_fits_are_there_in_order_and_trusted(analysis: SampleAnalysis) -> No
     assert [m.model for m in analysis.models] == ["global", "cook-torrance", "cook-torrance-shift"]
     assert set(analysis.differences) == {"local", "global", "cook-torrance", "cook-torrance-shift"}
     assert all(m.verdict.trusted for m in analysis.models)
-    said = f"2 of {analysis.dataset.flags.size} points are left out: saturated at the shortest integration time."
+    points = analysis.dataset.flags.size
+    said = f"2 of {points} points are left out of all fits: saturated at the shortest integration time."
     assert all(said in m.verdict.reasons for m in analysis.models)
 
 

@@ -176,6 +176,14 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     ElementTree.fromstring(figures.spectra(gap, rough_analysis.local, "z"))
 
 
+def test_a_sample_that_drowns_in_noise_still_gets_its_report(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    noise = ErrorSource("random: counts", "random", dataset.brdf, None, False)
+    noisy = replace(dataset, sources=(noise,))
+    svg = figures.spectra(noisy, rough_analysis.local, "z")
+    assert "no spectrum stands clear of its noise" in "".join(ElementTree.fromstring(svg).itertext())
+
+
 @pytest.mark.parametrize(
     ("value", "u", "text"),
     [

@@ -44,8 +44,8 @@ def test_flags_say_how_many_points_and_what_the_fits_do_with_them(dataset: Datas
     flags[[1, 2, 3]] |= np.uint16(Flag.BELOW_NOISE)
     total = flags.size
     assert flag_sentences(replace(dataset, flags=flags)) == (
-        f"2 of {total} points are left out: footprint leaves the sample.",
-        f"3 of {total} points are below the noise and fitted all the same.",
+        f"2 of {total} points are left out of all fits: footprint leaves the sample.",
+        f"3 of {total} points are kept in fits of all points, without a slope of their own: below the noise.",
     )
     assert flag_sentences(dataset) == ()
     assert [flag_words(int(f)) for f in flags[:5]] == [

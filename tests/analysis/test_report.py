@@ -21,9 +21,9 @@ ERROR = RelativeError(0.0081, 0.0153, 0.0242)
 FACTS = RunFacts(
     uniform_points=483,
     bench_time=754.2,
-    certificate="SRS-99-010, serial 1234",
     blocked_points=27,
     failed_points=2,
+    too_noisy="12 points stayed below the wanted ratio & more.",
     files=(("disc.json", "all fits"), ("disc & more.bsdf", "for rendering")),
     bsdf=BsdfReport(Path("disc.bsdf"), 5, "flat", np.arange(6.0), 0.043, ERROR, {"flat": ERROR}, ""),
 )
@@ -33,7 +33,15 @@ FACTS = RunFacts(
 def rough_analysis(measure: Callable[..., Dataset]) -> SampleAnalysis:
     """All fits of a rough sample, three incident angles of it."""
     dataset = measure(0.28, 1.5, 2.6, incident=(10, 40, 70), wavelength_step=9.0)
-    lineage: dict[str, object] = {"scan": 3, "exposures": list(range(70)), "software_version": "0.1.0"}
+    lineage: dict[str, object] = {
+        "scan": 3,
+        "exposures": list(range(70)),
+        "certificate": "SRS-99-010, serial 1234",
+        "certificate_calibrated": "2023-04-05",
+        "certificate_valid_until": None,
+        "certificate_sha256": "5e1f",
+        "software_version": "0.1.0",
+    }
     return analyse(replace(dataset, sample="disc <2>", lineage=lineage))
 
 
@@ -117,7 +125,17 @@ def test_the_report_says_what_was_left_out_and_how_good_the_rendering_file_is(pa
     assert "2 directions could not be measured" in page.text
     assert "12 min 34 s" in page.text
     assert "0.8 % at the median, by less than 1.5 % in 99 of 100 directions and by 2.4 % at most" in page.text
-    assert "SRS-99-010, serial 1234" in page.text
+
+
+def test_points_that_are_noisier_than_was_wanted_are_announced(page: _Reader) -> None:
+    assert "12 points stayed below the wanted ratio & more." in page.text
+
+
+def test_the_certificate_stands_where_the_numbers_come_from_with_its_day_and_its_digest(page: _Reader) -> None:
+    table = page.text[page.text.index("Where the numbers come from") :]
+    for row in ("certificateSRS-99-010, serial 1234", "certificate calibrated2023-04-05", "certificate sha2565e1f"):
+        assert row in table
+    assert "valid until" not in table
 
 
 def test_what_makes_the_parameters_uncertain_stands_beside_them(page: _Reader, rough_analysis: SampleAnalysis) -> None:
@@ -139,6 +157,7 @@ def test_checks_and_flags_are_shown_and_a_failed_one_is_announced_before_anythin
     dataset = rough_analysis.dataset
     flags = dataset.flags.copy()
     flags[dataset.theta_in == 70] = Flag.CLIPPED
+    flags[dataset.theta_in == 10] = Flag.NEGATIVE
     checks = (
         Check("reciprocity", True, "All pairs agree & more."),
         Check("homogeneity", False, "Another spot is <rougher>."),
@@ -155,6 +174,8 @@ def test_checks_and_flags_are_shown_and_a_failed_one_is_announced_before_anythin
     assert "? not knowndriftThe lamp was not watched." in reader.text
     count = int(np.sum(dataset.theta_in == 70))
     assert f"footprint leaves the sample{count} of {flags.size}θ in 70°: θ out" in reader.text
+    assert reader.text.count("left out of all fits") >= 1
+    assert re.search(r"negative beyond the noise\d+ of \d+θ in 10°: θ out [^k]*kept", reader.text)
     assert f"{count} spectra are flagged and take no part in the fits" in reader.text
     first_picture = html.index("<svg")
     for warning in ("M. Curie overrode it", "A check of this measurement failed: homogeneity"):

@@ -1,9 +1,14 @@
 """What a person is told of a finished campaign."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from api.outcome import SampleOutcome, remarks
+from api.outcome import SampleOutcome, outcomes, remarks
+from goniometer.campaign import Campaign, Sample
+from goniometer.lineage import lacks_dataset, own_datasets
+from goniometer.store import Store
+from tests.drawn_dataset import drawn_dataset
 
 GOOD = SampleOutcome(
     sample="Disc",
@@ -19,6 +24,7 @@ GOOD = SampleOutcome(
     checks=[{"name": "energy", "passed": True, "message": "Less comes out than falls in."}],
     flagged_points={},
     left_out_points=0,
+    too_noisy="",
     certificate_override="",
     dE00={},
     parameters={},
@@ -41,6 +47,7 @@ def test_a_failed_check_an_override_and_points_left_out_are_never_kept_from_the_
                 {"name": "drift", "passed": None, "message": "Nobody watched the lamp."},
             ],
             "left_out_points": 7,
+            "too_noisy": "3 points stayed below the wanted signal-to-noise ratio.",
             "certificate_override": "M. Curie overrode the certificate: the new one is on its way.",
         }
     )
@@ -48,7 +55,23 @@ def test_a_failed_check_an_override_and_points_left_out_are_never_kept_from_the_
         "Disc: M. Curie overrode the certificate: the new one is on its way.",
         "Disc: the check of homogeneity failed. Another spot differs by 30 %.",
         "Disc: 7 flagged points take no part in the fits.",
+        "Disc: 3 points stayed below the wanted signal-to-noise ratio.",
     ]
+
+
+def test_what_somebody_tries_afterwards_does_not_take_the_place_of_a_campaigns_result(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "one.db")
+    campaign_id = store.add_campaign(Campaign(name="One", samples=(Sample(name="Disc", material="sample-4"),)))
+    scan = store.scans(campaign_id)[1]
+    store.finish_scan(scan.id, "completed")
+    assert lacks_dataset(store, store.scan(scan.id))
+    first = store.add_dataset(scan.id, drawn_dataset("sample-4"))
+    trial = replace(drawn_dataset("sample-4", seed=1), lineage={"recalibrated_from": first})
+    store.add_dataset(scan.id, trial)
+    assert list(own_datasets(store, scan.id)) == [first]
+    assert not lacks_dataset(store, store.scan(scan.id))
+    assert [outcome.dataset_id for outcome in outcomes(store, campaign_id, truth=False)] == [first]
+    store.close()
 
 
 def test_every_sample_of_a_campaign_carries_its_checks_and_flags(small: tuple[Path, dict[str, Any]]) -> None:

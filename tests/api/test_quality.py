@@ -1,7 +1,9 @@
 """Budget, checks and a new calibration on the command line, from raw data that were measured on the simulated bench."""
 
+import hashlib
 import json
 import shutil
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +16,12 @@ from typer.testing import CliRunner, Result
 
 from api.cli_quality import register
 from api.quality import settings_of
-from goniometer.campaign import Campaign, Sample
+from drivers.interfaces import Spectrum
+from goniometer.campaign import Campaign, Integration, Sample
 from goniometer.dataset import Check, Flag
 from goniometer.errors import CertificateError, GeometryError, InputError, NotInStore
+from goniometer.geometry import Geometry
+from goniometer.lineage import own_datasets
 from goniometer.response import CORRECTIONS
 from goniometer.store import Store
 from tests.drawn_dataset import drawn_dataset
@@ -111,8 +116,60 @@ def test_checks_are_shown_with_their_answers_and_flags_with_what_the_fits_do(dat
     assert "✓ drift: It did not." in result.stdout
     assert "? homogeneity: Not measured." in result.stdout
     points = Store.open(database).dataset(1).theta_in.size
-    assert f"3 of {points} points: footprint leaves the sample (left out in the fits)" in result.stdout
-    assert f"3 of {points} points: below the noise (weighted by their uncertainty in the fits)" in result.stdout
+    assert f"3 of {points} points: footprint leaves the sample (left out of all fits)" in result.stdout
+    assert f"3 of {points} points: below the noise (kept in fits of all points, without a slope of their own)" in (
+        result.stdout
+    )
+
+
+def test_of_several_datasets_of_a_sample_the_newest_is_taken_and_said(database: Path) -> None:
+    assert "has datasets" not in invoke("check", "sample 4", "--database", database).stderr
+    store = Store.open(database)
+    store.add_dataset(store.datasets()[1], store.dataset(1))
+    result = invoke("check", "sample 4", "--database", database)
+    assert "Dataset 2, Sample 4" in result.stdout
+    assert result.stderr.splitlines() == ["Sample 4 has datasets 1 and 2; taking 2, name a number for another."]
+
+
+def test_points_that_are_noisier_than_was_wanted_are_counted_and_the_worst_is_named(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "noisy.db")
+    integration = Integration(signal_to_noise=50.0)
+    campaign = Campaign(name="One", samples=(Sample(name="Sample 4", material="sample-4"),), integration=integration)
+    scan_id = store.scans(store.add_campaign(campaign))[1].id
+    store.add_points(scan_id, [Geometry(10.0, out) for out in (-80.0, 10.0, 40.0)])
+    spectra = [Spectrum(np.zeros(1044, dtype=np.uint32), 0.1, 1, -10.0)]
+    for point, (ratio, reason) in zip(
+        store.points(scan_id), ((3.21, "too dark"), (60.0, ""), (20.0, "too dark")), strict=True
+    ):
+        store.start_point(point.id)
+        store.finish_point(point, point.geometry, spectra, "one", 0.0, 1.0, ratio, reason)
+    store.add_dataset(scan_id, drawn_dataset("sample-4"))
+    store.close()
+    told = (
+        "2 points stayed below the wanted signal-to-noise ratio, the worst at theta_in = 10 deg, theta_out = -80 deg: "
+        "reached 3.21 of 50."
+    )
+    assert told in invoke("check", 1, "--database", tmp_path / "noisy.db").stdout.splitlines()
+
+
+def test_a_measured_sample_without_a_dataset_is_calibrated_by_its_name(measured: Path, tmp_path: Path) -> None:
+    old = Store.open(measured).dataset(1)
+    with sqlite3.connect(measured) as database:  # as if the certificate had not served when it was measured
+        for table in ("fits", "exports", "datasets"):
+            database.execute(f"DROP TRIGGER {table}_no_delete")
+            database.execute(f"DELETE FROM {table}")
+    database.close()
+    path = write_certificate(tmp_path / "new.csv", 0.97)
+    told = invoke("calibrate", "sample 1", "--certificate", path, "--database", measured).stdout
+    store = Store.open(measured)
+    (made,) = store.datasets()
+    assert f"Made dataset {made} from the raw data of scan 2, with the certificate PANEL-new." in told
+    assert store.dataset(made).lineage["exposures"] == old.lineage["exposures"]
+    assert store.dataset_certificate(made) == path.read_text()
+    assert list(own_datasets(store, 2)) == [made]
+    # what was given stays with it when it is made anew
+    again = json.loads(invoke("calibrate", "sample 1", "--database", measured, "--json").stdout)
+    assert (again["recalibrated_from"], again["certificate"]) == (made, "PANEL-new")
 
 
 def test_a_failed_check_is_an_exit_code(database: Path) -> None:
@@ -133,6 +190,10 @@ def test_calibrating_again_gives_the_same_numbers_in_a_new_dataset(measured: Pat
     old, new = store.dataset(1), store.dataset(found["dataset"])
     assert new.content_hash == old.content_hash
     assert new.lineage["recalibrated_from"] == 1
+    certificate = store.certificate(1)
+    assert certificate is not None
+    digest = hashlib.sha256(certificate.encode()).hexdigest()
+    assert old.lineage["certificate_sha256"] == new.lineage["certificate_sha256"] == digest
     assert new.lineage["exposures"] == old.lineage["exposures"]
 
 

@@ -80,9 +80,11 @@ def test_a_stage_of_any_family_is_mounted_and_limited_as_the_file_says(tmp_path:
 
 
 WRONG = {
-    BENCH.replace("url", "directon = 1\nurl", 1): "stages.sample.directon: unknown key; did you mean direction?",
-    BENCH.replace("url", "xyz = 1\nurl", 1): "stages.sample.xyz: unknown key; known are url, ",
-    BENCH.replace("url", "counts_per_degree = 1\nurl", 1): "stages.sample.counts_per_degree: unknown key",
+    BENCH.replace(
+        "url", "directon = 1\nurl", 1
+    ): 'stages.sample.directon: there is no such key; did you mean "direction"?',
+    BENCH.replace("url", "xyz = 1\nurl", 1): "stages.sample.xyz: there is no such key; known here: url, ",
+    BENCH.replace("url", "counts_per_degree = 1\nurl", 1): "stages.sample.counts_per_degree: there is no such key",
     BENCH.replace("url", "direction = 0\nurl", 1): "stages.sample.direction: 0 is not possible",
     BENCH.replace("url", "scale = 0\nurl", 1): "stages.sample.scale: 0 is not possible",
     BENCH.replace("url", "zero = nan\nurl", 1): "stages.sample.zero: nan is not possible",
@@ -91,7 +93,9 @@ WRONG = {
     BENCH.replace("url", 'serial_number = "A"\nurl', 1): "stages.sample: give either url or serial_number",
     BENCH.replace('url = "/dev/ttyUSB0"', ""): "stages.sample: give either url or serial_number",
     BENCH.replace('url = "/dev/ttyUSB0"', 'serial_number = "A&n=2"'): "stages.sample.serial_number: 'A&n=2'",
-    BENCH.replace('"smc100"', '"smc1000"'): "stages.sample.driver: there is no driver 'smc1000'; did you mean smc100?",
+    BENCH.replace(
+        '"smc100"', '"smc1000"'
+    ): "stages.sample.driver: there is no driver 'smc1000'; did you mean \"smc100\"?",
     BENCH.replace('"smc100"', "3"): "stages.sample.driver",
     BENCH.replace('driver = "smc100"', ""): "stages.sample.driver: this key is missing; give one of smc100, ",
     BENCH.replace('"smc100"', '"owis"'): "stages.sample.counts_per_degree: this key is missing; give the steps",
@@ -100,7 +104,9 @@ WRONG = {
     BENCH.replace(
         "tcp://192.168.0.20:502", "COM3"
     ): "stages.detector: url = 'COM3' is no address of this driver; write \"tcp:",
-    BENCH.replace("[stages.detector]", "[stages.detektor]"): "stages.detektor: unknown key; did you mean detector?",
+    BENCH.replace(
+        "[stages.detector]", "[stages.detektor]"
+    ): 'stages.detektor: there is no such key; did you mean "detector"?',
     BENCH.split("[stages.detector]", maxsplit=1)[0]: "stages.detector: this key is missing",
     TWO.format('driver = "smc100"'): "stages: both stages answer at '/dev/ttyUSB0' with the address 1; they are two",
     TWO.format('driver = "owis"\ncounts_per_degree = 9'): "with the axis 1; they are two, so give each its own axis",
@@ -109,17 +115,17 @@ WRONG = {
     TWO.format('driver = "smc100"').replace(
         "smc100", "k10cr1", 1
     ): "only two of smc100, of owis or of oriental-az on tcp",
-    BENCH + "[geometry]\napperture = 1\n": "geometry.apperture: unknown key; did you mean aperture?",
+    BENCH + "[geometry]\napperture = 1\n": 'geometry.apperture: there is no such key; did you mean "aperture"?',
     BENCH + "[[forbidden]]\nsample = [1, 2]\n": "forbidden[0].detector: this key is missing",
     BENCH + "[[forbidden]]\nsample = [1, 2]\ndetector = [2, 1]\n": "forbidden[0].detector: [2, 1] is no range",
     BENCH + "[spectrometer]\ngain = 0\n": "spectrometer.gain: 0 is not possible",
-    BENCH + "[spectrometer]\ngian = 1\n": "spectrometer.gian: unknown key; did you mean gain?",
+    BENCH + "[spectrometer]\ngian = 1\n": 'spectrometer.gian: there is no such key; did you mean "gain"?',
     BENCH + "[light]\nu_lamp = -1\n": "light.u_lamp: -1 is not possible",
-    BENCH + "[light]\nu_lamb = 1\n": "light.u_lamb: unknown key; did you mean u_lamp?",
+    BENCH + "[light]\nu_lamb = 1\n": 'light.u_lamb: there is no such key; did you mean "u_lamp"?',
     "": "stages: this key is missing",
     "stages = 3": "stages: 3 is not possible",
     "[stages]\nsample = 3\ndetector = 3": "stages.sample",
-    BENCH + "forbidden = 3": "stages.detector.forbidden: unknown key",
+    BENCH + "forbidden = 3": "stages.detector.forbidden: there is no such key",
     "forbidden = [3]\n" + BENCH: "forbidden[0]: 3 is not possible",
 }
 

@@ -2,16 +2,17 @@
 
     python -m tests.benchmarks.coverage [SEEDS]
 
-Each seed is another bench: its zeros, wavelength scale, polynomial, aperture, panel and lamp depart from what is stated
-of it as the stated uncertainties allow, and its counts and stages are noisy. Samples 1, 4 and 5 are measured through
-the drivers, calibrated, and compared with the truth in every (point, wavelength) cell.
+Once with looks at the lamp and at stray light, once without either, when the stated bounds must do. Each seed is
+another bench: its zeros, wavelength scale, polynomial, aperture, panel and lamp depart from what is stated of it as the
+stated uncertainties allow, and its counts and stages are noisy. Samples 1, 4 and 5 are measured through the drivers,
+calibrated, and compared with the truth in every (point, wavelength) cell.
 """
 
 import multiprocessing
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,10 +20,10 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Reference, Resolution, Sample
+from goniometer.campaign import Campaign, Monitor, Reference, Resolution, Sample
 from goniometer.constants import BenchData
 from goniometer.store import Store
-from simulators.imperfections import drawn
+from simulators.imperfections import drawn, generator
 from simulators.materials import material, true_brdf
 from tests.benchmarks.measured import measure
 
@@ -49,8 +50,8 @@ class Scores:
     """[points, wavelengths]"""
 
 
-def scores(seed: int) -> list[Scores]:
-    """One bench."""
+def scores(seed: int, watched: bool) -> list[Scores]:
+    """One bench; `watched` is one whose lamp and stray light are looked at."""
     campaign = Campaign(
         name="Coverage",
         seed=seed,
@@ -58,8 +59,16 @@ def scores(seed: int) -> list[Scores]:
         incident=(10.0, 40.0, 70.0),
         resolution=Resolution(coarse_step=30.0, tolerance=0.3),
         reference=Reference(step=30.0),
+        monitor=Monitor() if watched else None,
+        stray_light=watched,
     )
-    imperfections = drawn(seed, BenchData(), lamp_drift=LAMP_DRIFT)
+    stated = BenchData()
+    if watched:
+        imperfections = drawn(seed, stated, lamp_drift=LAMP_DRIFT)
+    else:
+        # a sine of root 2 times the stated lamp, and stray light as it is stated
+        stray = abs(float(generator(seed, "unwatched").normal(0, stated.u_stray_light)))
+        imperfections = replace(drawn(seed, stated, lamp_drift=np.sqrt(2) * stated.u_lamp), stray_light=stray)
 
     with tempfile.TemporaryDirectory() as folder:
         store = Store.open(Path(folder) / "bench.db")
@@ -77,10 +86,10 @@ def covered(z: FloatArray) -> float:
     return float(np.mean(np.abs(z[np.isfinite(z)]) <= COVERAGE_FACTOR))
 
 
-def run(seeds: range) -> list[Scores]:
+def run(seeds: range, watched: bool = True) -> list[Scores]:
     """All benches, in two processes."""
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
-        return [each for bench in executor.map(scores, seeds) for each in bench]
+        return [each for bench in executor.map(scores, seeds, [watched] * len(seeds)) for each in bench]
 
 
 def report(found: list[Scores]) -> dict[str, float]:
@@ -107,4 +116,7 @@ def report(found: list[Scores]) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    report(run(range(1, 1 + int(sys.argv[1] if len(sys.argv) > 1 else 50))))
+    wanted = range(1, 1 + int(sys.argv[1] if len(sys.argv) > 1 else 50))
+    report(run(wanted))
+    print("\nWithout looks at the lamp and at stray light:")
+    report(run(wanted, watched=False))

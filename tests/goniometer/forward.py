@@ -102,7 +102,7 @@ class Bench:
     def __init__(self, wrong: Wrong = RIGHT, seed: int = 0, *, noisy: bool = True) -> None:
         self.wrong, self.noisy = wrong, noisy
         self.random = np.random.default_rng(seed)
-        self.moment = 0.0
+        self.session, self.moment = "one", 0.0
         self.ids = 0
 
     def scan(
@@ -120,16 +120,19 @@ class Bench:
     ) -> RawScan:
         """A raw scan; a time for each point, or several for one (`times` of tuples)."""
         per_point = [times] * len(angles) if isinstance(times, (int, float)) else list(times)
-        at = {g: self.random.normal(0, self.wrong.position) for g in sorted({a.theta_in for a in angles})}
+        error, here = 0.0, None  # of the sample stage, anew whenever it has been elsewhere
         shots, stray, monitors = [], [], []
         if stray_time is not None:
-            for theta_in in at:
+            for theta_in in sorted({angle.theta_in for angle in angles}):
                 stray.append(self.shot(Geometry(theta_in, -theta_in), None, stray_time, 2, 0.0, None))
         for i, (angle, time) in enumerate(zip(angles, per_point, strict=True)):
             if monitor_every and i % monitor_every == 0:
                 monitors.append(self.shot(MONITOR, brdf, monitor_time, 1, 0.0, None))
+                here = None if here != MONITOR.theta_in else here
+            if here != angle.theta_in:
+                error, here = self.random.normal(0, self.wrong.position), angle.theta_in
             for each in time if isinstance(time, tuple) else (time,):
-                shots.append(self.shot(angle, brdf, each, scans, at[angle.theta_in], i))
+                shots.append(self.shot(angle, brdf, each, scans, error, i))
         if monitor_every:
             monitors.append(self.shot(MONITOR, brdf, monitor_time, 1, 0.0, None))
         used = sorted({shot.integration_time for shot in (*shots, *stray, *monitors)})
@@ -167,7 +170,16 @@ class Bench:
         counts = as_read(light) + self._dark(time, scans)
         self.ids += scans
         ids = tuple(range(self.ids - scans, self.ids))
-        return Shot(angle, time, np.clip(np.rint(counts), 0, FULL).astype(np.uint32), -10.0, self.moment, ids, point)
+        return Shot(
+            angle,
+            time,
+            np.clip(np.rint(counts), 0, FULL).astype(np.uint32),
+            -10.0,
+            self.session,
+            self.moment,
+            ids,
+            point,
+        )
 
     def dark(self, time: float, number: int = 4) -> Dark:
         """A set of dark spectra."""

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import DeviceTimeout
 from goniometer.calibration import calibrate_scan
 from goniometer.campaign import Campaign, Homogeneity, Integration, Monitor, OutgoingRange, Resolution, Sample
-from goniometer.exposure import DarkSignal, detector_of, take
+from goniometer.exposure import DarkSignal, below_wanted, detector_of, take
 from goniometer.geometry import Geometry
 from goniometer.plan import Measured, PlanSpec, monitor_direction, spot_points
 from goniometer.raw import read_raw
@@ -100,6 +100,11 @@ def test_a_mirror_peak_and_its_dark_background_are_measured_in_one_campaign(stor
     assert reasons[Geometry(30.0, 30.0)] == ""
     assert reasons[Geometry(30.0, -85.0)].startswith("reached a signal-to-noise ratio of ")
     assert reasons[Geometry(30.0, -85.0)].endswith(" of 50 within 60 s")
+    short = [p for p in store.points(scan.id) if p.reason]
+    worst = min(short, key=lambda p: float(p.reason.split()[5]))
+    told = below_wanted(store.points(scan.id), 50.0)
+    assert told.startswith(f"{len(short)} points stayed below the wanted signal-to-noise ratio, the worst at ")
+    assert f"theta_out = {worst.geometry.theta_out:g} deg: reached {worst.reason.split()[5]} of 50." in told
     dataset = calibrate_scan(store, scan.id)
     ratio = np.median(np.abs(dataset.brdf) / dataset.u_counts, axis=1)
     assert ratio[peak] > 45.0
@@ -220,6 +225,15 @@ def test_stray_light_is_measured_once_at_each_incident_angle_of_every_scan_befor
             assert np.sort(seen)[-200:].mean() == pytest.approx(5e-4 * np.pi * 2000.0, rel=0.1)
 
 
+def test_stray_light_that_would_saturate_is_measured_in_less_time(store):
+    asyncio.run(run(store, changed(stray_light=True), imperfections=Imperfections(stray_light=3.0)))
+    raw = read_raw(store, store.scans()[1].id)
+    (shot,) = raw.stray
+    assert shot.integration_time < CAMPAIGN.integration.maximum
+    assert shot.counts.max() < raw.constants.saturation
+    assert shot.integration_time in {dark.integration_time for dark in raw.darks}
+
+
 def test_a_bench_whose_arm_cannot_stand_before_the_source_measures_without_stray_light_and_says_so(store, caplog):
     def change(instrument):
         instrument.forbidden = (Forbidden(sample=(20.0, 40.0), detector=(-4.0, 4.0)),)
@@ -284,6 +298,10 @@ def test_a_resumed_scan_looks_at_the_lamp_first_and_as_it_did_before(store):
     assert resumed[0] == "monitor"
     assert len({m.integration_time for m in raw.monitors}) == 1
     assert len(raw.monitors) >= 3
+    # moments of the first run cannot be compared with those of the second, whatever they are
+    exposures = store.exposures(raw.scan_id)
+    assert len({e.session for e in exposures[:stopped]}) == len({e.session for e in exposures[stopped:]}) == 1
+    assert exposures[0].session != exposures[-1].session
 
 
 def test_a_fault_on_the_way_to_the_lamp_costs_a_point_one_attempt_and_is_not_met_again_at_the_next(store):
@@ -361,6 +379,47 @@ def test_another_spot_is_measured_in_some_directions_of_the_sample_before_it_is_
     assert min(g.theta_out for g in directions) < -30.0
     assert max(g.theta_out for g in directions) > 50.0
     assert read_raw(store, spot.id).diameter == 50.0
+
+
+def test_a_spot_that_fails_costs_its_sample_no_dataset_and_is_in_it_when_it_was_measured_after_all(store):
+    campaign = changed(homogeneity=Homogeneity(points=2))
+    made = []
+
+    def finished(scan):
+        dataset = calibrate_scan(store, scan.id)
+        made.append(dataset.lineage["spot_scan"])
+        store.add_dataset(scan.id, dataset)
+
+    async def work(lamp):
+        async with bench(3) as (instrument, mount, _):
+
+            async def mounted(scan):
+                if scan.kind == "spot" and not lamp:
+                    raise DeviceTimeout("QE Pro: no answer within 1 s.")
+                await mount(scan)
+
+            with store.exclusive():
+                await run_campaign(store, campaign, instrument, mounted, lambda _: None, finished)
+
+    for _ in range(2):  # the second time there is a dataset, and nothing new
+        with pytest.raises(DeviceTimeout):
+            asyncio.run(work(lamp=False))
+        assert made == [None]
+    asyncio.run(work(lamp=True))
+    asyncio.run(work(lamp=True))
+    assert made == [None, store.scans()[2].id]
+
+
+def test_nobody_is_asked_to_mount_another_spot_that_could_be_compared_with_nothing(store, caplog, monkeypatch):
+    monkeypatch.setattr("goniometer.scheduler.spot_points", lambda measured, count: [])
+    finished = []
+    with caplog.at_level(logging.WARNING, logger="goniometer.scheduler"):
+        asyncio.run(run(store, changed(homogeneity=Homogeneity()), finished=finished.append))
+    spot = store.scans()[2]
+    assert (spot.outcome, store.points(spot.id)) == ("failed", [])
+    assert spot.reason == "No direction of Rough has a value with which another spot could be compared."
+    assert spot.reason in [record.getMessage() for record in caplog.records]
+    assert [scan.sample for scan in finished] == ["Rough"]
 
 
 def test_the_directions_of_another_spot_are_spread_and_bright():

@@ -112,6 +112,16 @@ def test_a_budget_is_shown_at_the_mirror_direction_nearest_45_degrees() -> None:
     assert usual_direction(drawn_dataset("sample-4")) == (40, 40)
 
 
+def test_a_budget_is_shown_beside_the_source_where_it_hides_the_mirror_direction_and_where_there_is_a_value() -> None:
+    at = np.zeros(3), np.array([-30.0, 5, 10])
+    dataset = drawn_dataset("sample-4", at=at)
+    assert usual_direction(dataset) == (0, 5)
+    brdf = dataset.brdf.copy()
+    brdf[1] = np.nan
+    assert usual_direction(replace(dataset, brdf=brdf)) == (0, 10)
+    assert budget(dataset, *usual_direction(dataset), 600).theta_out == 5
+
+
 def test_a_direction_that_was_not_measured_is_refused_and_the_nearest_is_named() -> None:
     with pytest.raises(GeometryError, match=r"within 2 deg of theta_in = 30 deg.*nearest is theta_in = 20\.00 deg"):
         budget(small_dataset(), 30, 20, 600)

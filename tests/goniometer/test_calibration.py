@@ -1,6 +1,7 @@
 """Calibration is judged against known truth: counts computed forwards from a known BRDF, lamp and noise."""
 
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from goniometer.certificate import NOMINAL_SRS99, Override
 from goniometer.dataset import Flag
 from goniometer.errors import CalibrationError, CertificateError
 from goniometer.geometry import Geometry
+from goniometer.raw import sample_visits
 from goniometer.response import CORRECTIONS, STANDARD, Settings
 from tests.goniometer.forward import (
     CONSTANTS,
@@ -276,6 +278,88 @@ def test_a_correction_that_is_left_out_leaves_its_bias_in_the_brdf(correction, w
         assert part(plain, correction).mean() > part(dataset, correction).mean()
 
 
+@pytest.mark.parametrize(
+    ("correction", "source", "wrong", "options"),
+    [
+        ("dark", "dark: not subtracted", RIGHT, {}),
+        ("non-linearity", "non-linearity", RIGHT, {"times": 60.0}),
+        ("stray light", "stray light: not subtracted", Wrong(stray=1e-3), {"stray_time": 60.0}),
+    ],
+)
+def test_the_uncertainty_of_a_correction_that_is_left_out_is_its_size(correction, source, wrong, options):
+    (_, corrected), (_, plain) = off(correction, wrong, angles=WIDE[1:], **options)
+    stated = next(s for s in plain.sources if s.name == source)
+    assert stated.shared_by_wavelengths
+    change = plain.brdf - corrected.brdf
+    seen = lighted(plain) & np.isfinite(change)
+    # with its sign, and to first order: a dark signal is a tenth of the panel's
+    assert seen.mean() > 0.4
+    np.testing.assert_allclose(stated.values[seen], change[seen], rtol=0.12, atol=2e-3 * np.abs(change[seen]).max())
+
+
+def test_stray_light_that_nobody_measured_changes_a_value_as_stated_bright_or_dark():
+    angles = [Geometry(50.0, o) for o in (-30.0, 0.0, 30.0, 50.0, 70.0)]
+    narrow = lobe(0.1)
+    times = [100.0, 100.0, 20.0, 2.0, 10.0]
+    clean, _ = ideal(angles, narrow, times=times)
+    veiled, _ = ideal(angles, narrow, times=times, wrong=Wrong(stray=DATA.u_stray_light))
+    lit = (clean.wavelengths > 600) & (clean.wavelengths < 700)
+    stated = next(s for s in clean.sources if s.name == "stray light: not measured").values[:, lit].mean(axis=1)
+    change = (veiled.brdf - clean.brdf)[:, lit].mean(axis=1)
+    assert (stated > 0).tolist() == [True, True, False, False, False]
+    np.testing.assert_allclose(stated, change, rtol=0.1, atol=1e-5)
+
+
+def test_a_field_of_view_that_is_wider_clips_sample_and_panel_alike():
+    bench = Bench(noisy=False)
+    reference = bench.scan(REFERENCE_ANGLES, spectralon(), 60.0, diameter=10.0)
+    angles = [Geometry(50.0, float(o)) for o in (65, 75, 85)]
+    for diameter, least, most in ((10.0, 0.0, 2e-3), (20.0, 5e-3, 0.04)):
+        sample = bench.scan(angles, ROUGH, 20.0, diameter=diameter)
+        dataset = calibrate(sample, reference, NOMINAL_SRS99)
+        relative = (part(dataset, "footprint") / dataset.brdf)[-1, 60]
+        assert least <= relative < most
+
+
+def test_a_detector_that_is_warmer_than_for_its_dark_has_more_uncertainty_and_not_more_light():
+    bench = Bench(seed=3)
+    sample = bench.scan(SAMPLE_ANGLES, ROUGH, [1.0, 10.0, 10.0, 10.0])
+    reference = bench.scan(REFERENCE_ANGLES, spectralon(), 10.0)
+    warm = replace(sample, shots=tuple(replace(shot, temperature=-9.7) for shot in sample.shots))
+    steady, warmer = (calibrate(raw, reference, NOMINAL_SRS99) for raw in (sample, warm))
+    np.testing.assert_array_equal(steady.brdf, warmer.brdf)
+    assert not any(source.name == "dark: temperature" for source in steady.sources)
+    stated = next(source for source in warmer.sources if source.name == "dark: temperature").values
+    # 0.3 degrees are 3.5 % of the dark current of 4 counts per second, which the light of the panel is divided into
+    response = 4000 * np.exp(-(((warmer.wavelengths - 650) / 180) ** 2))
+    expected = 4.0 * (10.0 - 1.0) / 10.0 * np.log(2) / 6 * 0.3 / response / np.cos(np.radians(50))
+    # each of the two dark currents has its own noise
+    assert np.median(stated[3] / expected) == pytest.approx(1, abs=0.03)
+
+
+def test_the_sample_stage_has_a_new_error_each_time_it_comes_back():
+    bench = Bench()
+    angles = [Geometry(50.0, o) for o in (0.0, 10.0, 20.0)]
+    raw = bench.scan([*angles, Geometry(0.0, 30.0), Geometry(50.0, 40.0), Geometry(50.0, 60.0)], ROUGH, 5.0)
+    assert sample_visits(raw).tolist() == [0, 0, 0, 1, 2, 2]
+    watched = bench.scan(angles, ROUGH, 5.0, monitor_every=2)  # monitors stand at 30 degrees
+    assert sample_visits(watched).tolist() == [1, 1, 3]
+    reference = bench.scan(REFERENCE_ANGLES, spectralon(), 10.0)
+    stage = next(s for s in calibrate(raw, reference, NOMINAL_SRS99).sources if s.name == "angle: sample stage")
+    assert stage.groups.tolist() == [0, 0, 0, 1, 2, 2]
+
+
+def test_stray_light_that_saturates_and_scans_without_points_are_refused():
+    bench = Bench()
+    reference = bench.scan(REFERENCE_ANGLES, spectralon(), 10.0)
+    sample = bench.scan(SAMPLE_ANGLES, ROUGH, 10.0, stray_time=60.0)
+    burnt = tuple(replace(shot, counts=np.full_like(shot.counts, FULL)) for shot in sample.stray)
+    with pytest.raises(CalibrationError, match="stray light"):
+        calibrate(replace(sample, stray=burnt), reference, NOMINAL_SRS99)
+    with pytest.raises(CalibrationError, match="no measured point"):
+        calibrate(replace(sample, planned=(), read_back=(), shots=()), reference, NOMINAL_SRS99)
+
+
 def test_a_wavelength_offset_that_is_known_is_taken_off():
     offset = 2.0
     constants = replace(CONSTANTS, bench=replace(DATA, wavelength_offset=offset))
@@ -356,10 +440,10 @@ def test_a_certificate_that_will_not_do_is_refused_before_hours_of_measuring(tex
     )
     content = None if text is None else header + text
     if message is None:
-        check_certificate(content, "panel.csv", override)
+        check_certificate(content, "panel.csv", override, date(2026, 1, 1))
     else:
         with pytest.raises(CertificateError, match=message) as caught:
-            check_certificate(content, "panel.csv", override)
+            check_certificate(content, "panel.csv", override, date(2026, 1, 1))
         assert "\n" not in str(caught.value)
 
 
@@ -406,7 +490,7 @@ def test_the_dark_of_the_nearest_temperature_is_subtracted():
 def test_lineage_says_what_a_dataset_was_made_from():
     bench = Bench()
     sample = bench.scan(SAMPLE_ANGLES, ROUGH, 10.0, scans=2, stray_time=60.0)
-    reference = replace(bench.scan(REFERENCE_ANGLES, spectralon(), 10.0), scan_id=2)
+    reference = replace(bench.scan(REFERENCE_ANGLES, spectralon(), 10.0, stray_time=60.0), scan_id=2)
     lineage = calibrate(sample, reference, NOMINAL_SRS99).lineage
     assert (lineage["scan"], lineage["reference_scan"]) == (1, 2)
     assert lineage["exposures"] == [i for shot in sample.shots for i in shot.ids]

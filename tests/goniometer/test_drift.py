@@ -9,6 +9,7 @@ import pytest
 from goniometer.calibration import calibrate
 from goniometer.certificate import NOMINAL_SRS99
 from goniometer.drift import factor, lamp_between, lamp_drift
+from goniometer.errors import CalibrationError
 from goniometer.geometry import Geometry
 from tests.goniometer.forward import WAVELENGTHS, Bench, Wrong, lobe, spectralon
 
@@ -64,7 +65,7 @@ def test_points_after_a_restart_are_not_interpolated_across_it():
 
     def later(shot, point=None):
         ids = tuple(i + 1000 for i in shot.ids)
-        return replace(shot, ids=ids, point=point)
+        return replace(shot, ids=ids, point=point, session="two")
 
     half = len(before.shots) // 2
     first = [s for s in before.shots if s.point < half]
@@ -81,6 +82,30 @@ def test_without_two_monitors_nothing_is_said_of_the_lamp():
     raw = scan(0.02)
     assert lamp_drift(replace(raw, monitors=raw.monitors[:1])) is None
     assert lamp_between([raw, replace(raw, monitors=())]) is None
+    assert lamp_between([replace(raw, monitors=()), raw]) is None
+
+
+def test_a_scan_without_monitors_in_between_only_makes_the_pause_longer():
+    bench = Bench(Wrong(drift=0.04), noisy=False)
+    first, middle, last = (scan(0.04, bench=bench, scan_id=i) for i in (1, 2, 3))
+    watched, blind = lamp_between([first, middle, last]), lamp_between([first, replace(middle, monitors=()), last])
+    true = (1 + lamp(last.monitors[0].moment, 0.04)) / (1 + lamp(first.monitors[0].moment, 0.04)) - 1
+    assert blind.u > 5 * watched.u
+    for between in (watched, blind):
+        assert abs(between.level - true) < 2 * between.u
+
+
+def test_two_monitors_that_agree_by_chance_do_not_make_a_lamp_certain():
+    raw = scan(0.01, noisy=False)
+    alike = lamp_drift(replace(raw, monitors=(raw.monitors[0], replace(raw.monitors[0], moment=2000.0))))
+    assert alike.u_interval == pytest.approx(raw.constants.bench.u_lamp / 4)
+
+
+def test_monitors_that_are_saturated_are_refused_in_a_sentence():
+    raw = scan(0.0)
+    burnt = tuple(replace(m, counts=np.full_like(m.counts, 200_000)) for m in raw.monitors)
+    with pytest.raises(CalibrationError, match="saturated"):
+        lamp_drift(replace(raw, monitors=burnt))
 
 
 def test_a_sample_measured_long_after_the_panel_is_compared_with_the_lamp_of_then():

@@ -168,8 +168,8 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
     store.save_constants(scan_id, CONSTANTS)
     light, dark = [spectrum(1), spectrum(2)], [spectrum(3), spectrum(4)]
     store.start_point(point.id)
-    store.add_exposures(scan_id, "dark", dark, 3.0)
-    store.finish_point(point, Geometry(10.003, -30.004), light, 7.25, 12.5, "too dark")
+    store.add_exposures(scan_id, "dark", dark, "one", 3.0)
+    store.finish_point(point, Geometry(10.003, -30.004), light, "one", 7.25, 12.5, 20.5, "too dark")
     store.close()
 
     reopened = Store.open(tmp_path / "bench.db")
@@ -178,21 +178,23 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
     assert raw.read_back == (Geometry(10.003, -30.004),)
     (shot,), (taken,) = raw.shots, raw.darks
     assert np.array_equal(shot.counts, [s.counts for s in light])
-    assert (shot.geometry, shot.integration_time, shot.moment, shot.point) == (raw.read_back[0], 0.1, 7.25, 0)
+    assert (shot.geometry, shot.integration_time, shot.point) == (raw.read_back[0], 0.1, 0)
+    assert (shot.session, shot.moment) == ("one", 7.25)
     assert np.array_equal(taken.counts, [s.counts for s in dark])
     assert (taken.integration_time, taken.temperature) == (0.1, -10.0)
     assert np.array_equal(raw.constants.wavelengths, CONSTANTS.wavelengths)
     assert (raw.constants.spectrometer, raw.constants.stages) == (CONSTANTS.spectrometer, CONSTANTS.stages)
     done, waiting = reopened.points(scan_id)
     assert (done.status, done.attempts, done.seconds, done.reason) == ("done", 1, 12.5, "too dark")
-    assert (waiting.status, waiting.read_back) == ("pending", None)
+    assert done.signal_to_noise == 20.5
+    assert (waiting.status, waiting.read_back, waiting.signal_to_noise) == ("pending", None, None)
     reopened.close()
 
 
 def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, tmp_path):
     scan_id, point = first_point(store)
     store.start_point(point.id)
-    store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
+    store.finish_point(point, point.geometry, [spectrum()], "one", 0.0, 1.0, 50.0)
     dataset_id = store.add_dataset(scan_id, dataset())
     store.add_fit(dataset_id, "global", "{}")
     other = sqlite3.connect(tmp_path / "bench.db")
@@ -219,6 +221,7 @@ def test_a_dataset_comes_back_bit_for_bit_and_a_second_one_stands_beside_it(stor
     assert (after.lineage, after.checks) == (before.lineage, before.checks)
     assert (after.u_angle, after.u_zero, after.aperture, after.sample) == (0.005, 0.01, 1.0, "Rough")
     assert store.datasets(scan_id) == {first: scan_id, second: scan_id}
+    assert store.lineage(first) == before.lineage
 
 
 def test_fits_and_exports_stay_with_their_dataset(store, tmp_path):
@@ -306,9 +309,9 @@ def test_a_scan_whose_process_was_killed_does_not_stay_running_for_ever(store):
 def test_a_point_that_another_process_has_finished_is_not_written_twice(store):
     scan_id, point = first_point(store)
     store.start_point(point.id)
-    store.finish_point(point, point.geometry, [spectrum(1)], 0.0, 1.0)
+    store.finish_point(point, point.geometry, [spectrum(1)], "one", 0.0, 1.0, 50.0)
     with pytest.raises(StoreError, match="not being measured"):
-        store.finish_point(point, point.geometry, [spectrum(2)], 0.0, 1.0)
+        store.finish_point(point, point.geometry, [spectrum(2)], "one", 0.0, 1.0, 50.0)
     assert [e.counts.tolist() for e in store.exposures(scan_id)] == [spectrum(1).counts.tolist()]
 
 
@@ -462,7 +465,7 @@ def test_a_missing_folder_and_a_wrong_address_are_named(tmp_path):
 
 def fill(store, scan_id):
     for seed in range(1000):
-        store.add_exposures(scan_id, "dark", [spectrum(seed)], 0.0)
+        store.add_exposures(scan_id, "dark", [spectrum(seed)], "one", 0.0)
 
 
 def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_path):
@@ -474,7 +477,7 @@ def test_a_full_disk_is_said_to_be_full_and_loses_nothing_that_was_written(tmp_p
         store = Store.open(tmp_path / "bench.db")
         scan_id, point = first_point(store)
         store.start_point(point.id)
-        store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
+        store.finish_point(point, point.geometry, [spectrum()], "one", 0.0, 1.0, 50.0)
         with pytest.raises(StoreFull, match="no room left"):
             fill(store, scan_id)
         assert store.points(scan_id)[0].status == "done"
@@ -494,7 +497,7 @@ def test_a_point_and_its_exposures_are_written_together_or_not_at_all(tmp_path):
         scan_id, point = first_point(store)
         store.start_point(point.id)
         with pytest.raises(StoreFull):
-            store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], 0.0, 1.0)
+            store.finish_point(point, point.geometry, [spectrum(i) for i in range(200)], "one", 0.0, 1.0, 50.0)
         assert store.points(scan_id)[0].status == "running"
         assert store.exposures(scan_id) == []
         store.close()
@@ -520,7 +523,7 @@ def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
     store.start_point(point.id)
     reader.execute("BEGIN")
     assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
-    store.finish_point(point, point.geometry, [spectrum()], 0.0, 1.0)
+    store.finish_point(point, point.geometry, [spectrum()], "one", 0.0, 1.0, 50.0)
     assert reader.execute("SELECT status FROM points").fetchall() == [("running",), ("pending",)]
     reader.execute("COMMIT")
     assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]

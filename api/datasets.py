@@ -1,0 +1,70 @@
+"""Which dataset is meant by a name, and how one is made from raw data."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+from goniometer.calibration import calibrate_scan
+from goniometer.certificate import Override
+from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.errors import NotInStore
+from goniometer.exposure import below_wanted
+from goniometer.records import Scan
+from goniometer.response import STANDARD, Settings
+from goniometer.store import Store
+
+
+def find_datasets(store: Store, name: str) -> list[int]:
+    """Ids of the datasets called `name`, oldest first: one by its number, or all of a sample by its name.
+
+    Raises `NotInStore` with the names that there are.
+    """
+    datasets = {dataset_id: store.scan(scan_id).sample for dataset_id, scan_id in store.datasets().items()}
+    if name.isdecimal() and int(name) in datasets:
+        return [int(name)]
+    found = [dataset_id for dataset_id, sample in datasets.items() if sample.lower() == name.lower()]
+    if not found:
+        known = ", ".join(f'{dataset_id} ("{sample}")' for dataset_id, sample in datasets.items()) or "none yet"
+        raise NotInStore(f'There is no dataset "{name}"; there are: {known}.')
+    return found
+
+
+def uncalibrated_scan(store: Store, name: str) -> Scan | None:
+    """The newest completed scan of the sample `name` that has no dataset; None where there is none."""
+    found = [s for s in store.scans() if s.kind == "sample" and s.outcome == "completed" and not store.datasets(s.id)]
+    return next((scan for scan in reversed(found) if scan.sample.lower() == name.lower()), None)
+
+
+def make_dataset(
+    store: Store,
+    scan_id: int,
+    *,
+    made_from: int | None = None,
+    certificate: Path | None = None,
+    settings: Settings = STANDARD,
+    override: Override | None = None,
+) -> int:
+    """Calibrate a scan, write the result beside what there is, and return the id of the new dataset.
+
+    `made_from` is the dataset of the same raw data that is made anew. `certificate` is the CSV file of a certificate,
+    None for that of this dataset, or else of the campaign. Raises `CertificateError` where the certificate cannot be
+    used, and `CalibrationError`.
+    """
+    where = f"certificate of dataset {made_from}" if certificate is None else str(certificate)
+    text = None if made_from is None else store.dataset_certificate(made_from)
+    if certificate is not None:
+        text = read_certificate(certificate)
+    panel = None if text is None else parse_certificate(text, where)
+    dataset = calibrate_scan(store, scan_id, settings, panel, override)
+    lineage = dict(dataset.lineage)
+    used = store.certificate(store.scan(scan_id).campaign_id) if text is None else text
+    if used is not None:
+        lineage["certificate_sha256"] = hashlib.sha256(used.encode()).hexdigest()
+    if made_from is not None:
+        lineage["recalibrated_from"] = made_from
+    return store.add_dataset(scan_id, replace(dataset, lineage=lineage), text)
+
+
+def too_noisy(store: Store, scan: Scan) -> str:
+    """Which points of a scan missed the signal-to-noise ratio that its campaign wants; empty where none did."""
+    return below_wanted(store.points(scan.id), store.campaign(scan.campaign_id).integration.signal_to_noise)

@@ -1,0 +1,67 @@
+"""What pydantic finds wrong with a file, in the words of the person who wrote it."""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+
+def key_path(parts: Sequence[int | str]) -> str:
+    """Where a key stands in a file, e.g. "samples[0].name"."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
+
+
+def nearest(given: str, known: Iterable[str]) -> str:
+    """The known name that was meant, or all of them, as the end of a sentence."""
+    known = list(known)
+    near = difflib.get_close_matches(given, known, n=1, cutoff=0.5)
+    return f'did you mean "{near[0]}"?' if near else "known here: " + ", ".join(known)
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first fault of a pydantic validation of `model` as one sentence: key path, what is wrong, what is right."""
+    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")  # a typo explains the rest
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return _sentence(faults[0], model) + more
+
+
+def _sentence(fault: ErrorDetails, model: type[BaseModel]) -> str:
+    """One pydantic error in words."""
+    loc = fault["loc"]
+    tagged = loc[:1] == ("incident",) and loc[1:2] in {("steps",), ("list",)}
+    parts = [*loc[:1], *loc[2:]] if tagged else list(loc)  # without the tag of `Incident`
+    where = key_path(parts)
+    given = fault["input"]
+    match fault["type"]:
+        case "extra_forbidden":
+            known = _model_at(model, parts[:-1]).model_fields
+            text = f"there is no such key; {nearest(str(parts[-1]), known)}"
+        case "missing":
+            text = "this key is missing"
+        case "value_error":
+            text = str(fault["ctx"]["error"])
+        case "string_type":
+            text = f"{given!r} is not text; write it in quotes"
+        case "model_type" | "dict_type":
+            fields = ", ".join(_model_at(model, parts).model_fields)
+            text = f"{given!r} is not possible: give a mapping with keys of {fields}"
+        case "incident_form":
+            text = f"{given!r} is not possible: {fault['msg']}"
+        case _:
+            shown = "" if isinstance(given, dict | list | tuple) else f"{given!r} is not possible: "
+            text = shown + fault["msg"].replace("Input should", "it must").replace("Tuple should", "it must")
+    return f"{where}: {text}"
+
+
+def _model_at(model: type[BaseModel], parts: list[int | str]) -> type[BaseModel]:
+    """The model that the key path leads to."""
+    for part in parts:
+        if isinstance(part, int):
+            continue
+        annotation = model.model_fields[part].annotation
+        nested = [annotation, *get_args(annotation)]
+        nested += [inner for item in nested for inner in get_args(item)]
+        model = next(item for item in nested if isinstance(item, type) and issubclass(item, BaseModel))
+    return model
