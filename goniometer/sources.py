@@ -28,7 +28,7 @@ import numpy as np
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import Derivatives
 from goniometer.constants import BenchData
-from goniometer.drift import LampBetween, LampDrift
+from goniometer.drift import REFERENCE_WAVELENGTH, LampBetween, LampDrift
 from goniometer.response import Settings
 from goniometer.uncertainty import ErrorSource, Groups, everywhere
 
@@ -130,8 +130,10 @@ def error_sources(sums: Sums, chain: Chain) -> tuple[ErrorSource, ...]:
     for name, values, sharing in _angles(chain, f):
         add(f"angle: {name}", "angle", values, sharing, shared=True)
     add("wavelength", "wavelength", _wavelength(chain, f), all_points, shared=True)
+    # a lamp whose temperature drifts does so more in the blue (Wien's law); any other drift is grey
+    colour = np.maximum(REFERENCE_WAVELENGTH / chain.wavelengths, 1.0)
     for name, u_lamp, members in _lamp(chain):
-        add(f"drift: {name}", "drift", f * u_lamp, members, shared=True)
+        add(f"drift: {name}", "drift", f * u_lamp * colour, members, shared=True)
     add("aperture", "aperture", _aperture(chain, f), all_points, shared=True)
     for name, values, members, shared in _stray_light(sums, chain, cosine):
         add(f"stray light: {name}", "stray light", values, members, shared=shared)
@@ -169,7 +171,7 @@ def _wavelength(chain: Chain, f: FloatArray) -> FloatArray:
 
 
 def _lamp(chain: Chain) -> list[tuple[str, float, Groups]]:
-    """Relative uncertainties of the lamp, and who shares them."""
+    """Relative uncertainties of the lamp at 600 nm, and who shares them."""
     all_points = everywhere(chain.theta_in.size)
     if chain.drift is None or chain.between is None:
         # stated once for a scan and once for the time between the scans

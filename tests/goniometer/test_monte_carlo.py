@@ -46,7 +46,10 @@ def measure(seed):
     dataset = calibrate(sample, reference, NOMINAL_SRS99)
     stray = np.random.default_rng([seed, 9]).normal(0, DATA.u_stray_light)
     # a lamp that nobody watched, and stray light that nobody measured, enter at the end as they would in the counts
-    return replace(dataset, brdf=dataset.brdf * (1 + lamp) + stray / np.cos(np.radians(dataset.theta_in))[:, None])
+    coloured = 1 + lamp * np.maximum(600 / dataset.wavelengths, 1)
+    panel = NOMINAL_SRS99.brdf(dataset.theta_in, dataset.theta_out, dataset.wavelengths)
+    veil = stray / np.cos(np.radians(dataset.theta_in))[:, None] * (1 - dataset.brdf / panel)
+    return replace(dataset, brdf=dataset.brdf * coloured + veil)
 
 
 @pytest.fixture(scope="module")
