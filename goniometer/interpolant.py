@@ -1,0 +1,154 @@
+"""A measured BRDF between its points, with the uncertainty of reading it there.
+
+A Gaussian process over all incident angles at once (Rasmussen & Williams 2006, chapter 2): ln(offset + cos(theta_in) f)
+is a lobe (`goniometer.lobe`) plus a random function whose covariance is that of `goniometer.kernel`. All bands or
+wavelengths are reconstructed with the same weights, each with its own variance. How far the measurements support the
+process is told by the process itself: each point is predicted from all others, and where these predictions are worse
+than they claim, so will be those of directions that were not measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, lapack, solve_triangular
+
+from drivers.arrays import FloatArray
+from goniometer.kernel import JITTER, Coordinates, Scales, coordinates, covariance, fit_scales, variance
+from goniometer.lobe import Lobe, fit_lobe
+
+OFFSET = 1e-4
+"""cos(theta_in) f, 1/sr, that is added before the logarithm is taken: what is darker is dark."""
+
+_BELIEF = 4.0
+"""How many points' worth of trust the process has in its own uncertainties before any prediction was checked."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is learnt of a sample as a whole, and seldom anew."""
+
+    lobe: Lobe
+    scales: Scales
+    offset: float
+    """cos(theta_in) f, 1/sr, that is added before the logarithm is taken."""
+
+
+@dataclass(frozen=True)
+class Interpolant:
+    """The process conditioned on measured points; made by `condition`."""
+
+    shape: Shape
+    at: Coordinates
+    """[points]"""
+    noise: FloatArray
+    """[points] standard uncertainty of ln(offset + cos f) that all bands are taken to have."""
+    factor: FloatArray
+    """[points, points] lower Cholesky factor of the covariance of the measured values."""
+    weights: FloatArray
+    """[points, bands] inverse covariance times what the lobe leaves over."""
+    scores: FloatArray
+    """[points] mean square over bands of the leave-one-out z-scores."""
+    spread: FloatArray
+    """[bands, bands] covariance of the bands over that of the process."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the process says of directions, as ln(offset + cos f)."""
+
+    latent: FloatArray
+    """[points, bands]"""
+    sigma: FloatArray
+    """[points] standard uncertainty of the process, to be multiplied with the root of the bands' `spread`."""
+    trust: FloatArray
+    """[points] by how much predictions nearby were worse than claimed: the root mean square of their z-scores."""
+    cross: FloatArray
+    """[measured points, points] prior covariance."""
+    solved: FloatArray
+    """[measured points, points] the inverse of the Cholesky factor times `cross`."""
+
+
+def latent(values: FloatArray, offset: float) -> FloatArray:
+    """ln(offset + cos f) of values [points, bands]; a negative value counts as zero."""
+    return np.asarray(np.log(offset + np.maximum(values, 0.0)))
+
+
+def latent_noise(values: FloatArray, noise: FloatArray, offset: float) -> FloatArray:
+    """[points] standard uncertainty of ln(offset + cos f): the median over the bands [points, bands]."""
+    return np.asarray(np.median(noise / (offset + np.maximum(values, 0.0)), axis=1))
+
+
+def learn(
+    theta_in: FloatArray,
+    theta_out: FloatArray,
+    values: FloatArray,
+    noise: FloatArray,
+    start: Scales | None = None,
+    steps: int = 12,
+) -> Shape:
+    """Lobe and scales of a sample from the mean over bands of its measured points.
+
+    `theta_in`, `theta_out` [points] in degrees, `values` [points, bands] cos(theta_in) f and its standard uncertainty
+    `noise`, both 1/sr and finite. The search for the scales begins at `start` and ends after `steps`.
+    """
+    offset = max(OFFSET, float(np.quantile(noise, 0.1)))
+    mean, u = latent(values, offset).mean(axis=1), latent_noise(values, noise, offset)
+    lobe = fit_lobe(theta_in, theta_out, mean, u, offset)
+    residual = mean - np.log(offset + lobe.cosine_brdf(theta_in, theta_out))
+    scales = fit_scales(coordinates(theta_in, theta_out, lobe), residual, u, start or Scales(), steps)
+    return Shape(lobe, scales, offset)
+
+
+def condition(
+    shape: Shape, theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray
+) -> Interpolant:
+    """The process given measured points; arguments as for `learn`."""
+    offset, power = shape.offset, shape.scales.amplitude**2
+    at = coordinates(theta_in, theta_out, shape.lobe)
+    u = latent_noise(values, noise, offset)
+    residual = latent(values, offset) - np.log(offset + shape.lobe.cosine_brdf(theta_in, theta_out))[:, None]
+    K = covariance(at, at, shape.scales)
+    K[np.diag_indices_from(K)] += u**2 + JITTER * power
+    factor = cholesky(K, lower=True, overwrite_a=True, check_finite=False)
+    inverse, _ = lapack.dpotri(factor, lower=1)
+    precision = np.diag(inverse).copy()
+    half = solve_triangular(factor, residual, lower=True, check_finite=False)
+    weights = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+    # Maximum likelihood of a separable covariance of points and bands, with the trust of a few points in bands that
+    # go together.
+    bands = residual.shape[1]
+    together = 0.95 + 0.05 * np.eye(bands)
+    spread = (half.T @ half + _BELIEF * together) / (len(residual) + _BELIEF)
+    scores = np.mean(weights**2 / np.diag(spread), axis=1) / precision
+    return Interpolant(shape, at, u, factor, weights, scores, spread)
+
+
+def predict(process: Interpolant, theta_in: FloatArray, theta_out: FloatArray) -> Prediction:
+    """What the process says of directions [points], degrees."""
+    shape = process.shape
+    at = coordinates(theta_in, theta_out, shape.lobe)
+    cross = covariance(process.at, at, shape.scales)
+    solved = solve_triangular(process.factor, cross, lower=True, check_finite=False)
+    left = variance(at, shape.scales) - np.einsum("ij,ij->j", solved, solved)
+    level = np.log(shape.offset + shape.lobe.cosine_brdf(theta_in, theta_out))
+    near = cross / shape.scales.amplitude**2
+    trust = (_BELIEF + process.scores @ near) / (_BELIEF + near.sum(axis=0))
+    return Prediction(
+        level[:, None] + cross.T @ process.weights,
+        np.sqrt(np.maximum(left, 0.0)),
+        np.sqrt(trust),
+        cross,
+        solved,
+    )
+
+
+def predict_values(process: Interpolant, theta_in: FloatArray, theta_out: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """cos(theta_in) f of directions [points], degrees, and its standard uncertainty, both [points, bands], 1/sr.
+
+    The uncertainty is that of reading between the points, their noise included, as the record of the process near
+    each direction has proven it.
+    """
+    told = predict(process, theta_in, theta_out)
+    level = np.exp(told.latent)
+    relative = (told.sigma * told.trust)[:, None] * np.sqrt(np.diag(process.spread))
+    return np.maximum(level - process.shape.offset, 0.0), level * relative
