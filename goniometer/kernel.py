@@ -3,7 +3,7 @@
 The coordinates are theta_d = (theta_out + theta_in) / 2 and the half vector's angle theta_h = (theta_out - theta_in)
 / 2, measured from the normal and warped: u = integral of d theta_h / l with 1/l = 1 / (l_0 sqrt(w^2 + theta_h^2)) +
 1 / l_cap, so u = asinh(theta_h / w) / l_0 + theta_h / l_cap, w being the half width of the lobe. In u the flank of a
-narrow lobe and the tail of a wide one are equally steep.
+narrow lobe and the tail of a wide one are equally steep. A bump elsewhere adds such a term around its own place.
 
 A surface that obeys reciprocity and looks alike from the left and from the right has a BRDF that is even in theta_h
 and in theta_d. How far the sample at hand does is learnt from its data: the covariance is a mixture of one that knows
@@ -17,10 +17,7 @@ from scipy.linalg import cho_factor, lapack
 from scipy.optimize import minimize
 
 from drivers.arrays import FloatArray
-from goniometer.lobe import Lobe
-
-NARROWEST = 0.25
-"""Half width of a lobe, degrees, below which the warp does not follow it: the aperture of the detector blurs it."""
+from goniometer.lobe import NARROWEST, Lobe
 
 JITTER = 1e-6
 """Part of the prior variance that is added to the noise's: a covariance must be invertible where points coincide."""
@@ -65,7 +62,7 @@ class Coordinates:
     """Directions as the covariance sees them, [points] each."""
 
     logarithmic: FloatArray
-    """asinh(theta_h / w)"""
+    """asinh(theta_h / w), and what the bumps add."""
     linear: FloatArray
     """theta_h from the normal, degrees."""
     along: FloatArray
@@ -79,7 +76,12 @@ class Coordinates:
 def coordinates(theta_in: FloatArray, theta_out: FloatArray, lobe: Lobe) -> Coordinates:
     """Coordinates of directions [points], degrees, for a sample with this lobe."""
     half = (theta_out - theta_in) / 2 - lobe.tilt
-    return Coordinates(np.arcsinh(half / max(lobe.half_width, NARROWEST)), half, (theta_out + theta_in) / 2)
+    logarithmic = np.arcsinh(half / max(lobe.half_width, NARROWEST))
+    for bump in lobe.bumps:
+        # on both sides, so that the symmetric part of the covariance stays one
+        for centre in (bump.centre, -bump.centre):
+            logarithmic = logarithmic + 0.5 * np.arcsinh((half - centre) / bump.width)
+    return Coordinates(logarithmic, half, (theta_out + theta_in) / 2)
 
 
 def matern(distance: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
-"""The lobe that the interpolation starts from: a GGX-like shape with five parameters, fitted to all incident angles.
+"""The lobes that the interpolation starts from: GGX-like shapes with few parameters, fitted to all incident angles.
 
-It need not be right. A Gaussian process carries what the lobe leaves over (`goniometer.interpolant`); the lobe's
-width says on which scale a BRDF changes near the mirror direction, which matters more than its shape.
+They need not be right. A Gaussian process carries what they leave over (`goniometer.interpolant`); where they are and
+how wide says on which scale a BRDF changes there, which matters more than their shape.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,9 @@ from scipy.optimize import least_squares
 
 from drivers.arrays import FloatArray
 
+NARROWEST = 0.25
+"""Half width of a lobe, degrees of the half vector, below which nothing follows it: the aperture blurs it."""
+
 _LARGEST_TILT = 2.0
 """Degrees by which the surface normal may lean away from the zero of the sample stage."""
 
@@ -18,17 +21,47 @@ _STARTS = (0.004, 0.02, 0.06, 0.15, 0.4)
 """Roughnesses from which the fit begins: from one alone it misses lobes of another width."""
 
 _SCATTER = 0.05
-"""Standard deviation of ln(cos f) up to which a lobe is expected to describe a point, beside the noise."""
+"""Standard deviation of ln(cos f) up to which lobes are expected to describe a point, beside the noise."""
+
+_LEAST_SCATTER = 0.003
+"""The same where all points agree with a lobe."""
+
+_MOST_BUMPS = 3
+
+_BUMP_WIDTHS = (0.3, 1.0, 3.0, 10.0)
+"""Half widths from which the fit of a bump begins, degrees."""
+
+_NEAR = 3.0
+"""Degrees of the half vector by which a bump's centre may leave the point that gave rise to it."""
+
+_WORTH = 10.0
+"""By how much another bump must reduce half the sum of squared, normalised residuals."""
 
 _LOWEST = np.array([-25.0, np.log(0.002), 1.2, -25.0, -_LARGEST_TILT])
 _HIGHEST = np.array([25.0, np.log(1.5), 6.0, 5.0, _LARGEST_TILT])
+_LOWEST_BUMP = np.array([-25.0, -85.0, np.log(NARROWEST), np.log(1.5)])
+_HIGHEST_BUMP = np.array([25.0, 85.0, np.log(30.0), np.log(30.0)])
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A further lobe anywhere: exp(log_height) (1 + (2^(1/k) - 1) (theta_h - centre)^2 / width^2)^-k, k = exponent."""
+
+    log_height: float
+    """Logarithm of its peak, as of the main lobe's, 1/sr."""
+    centre: float
+    """Half vector angle, degrees from the main lobe's."""
+    width: float
+    """From its peak to its half, degrees."""
+    exponent: float
+    """Of its tail: 2 as GGX, 30 as good as a Gaussian."""
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """A lobe around the mirror direction and a constant: f = exp(log_height) D G / (4 cos_i cos_o) + exp(log_floor).
+    """A lobe around the mirror direction, a constant and perhaps bumps: f = D G / (4 cos_i cos_o) + exp(log_floor).
 
-    D = (1 + tan^2(theta_h) / alpha^2)^-gamma / cos^4(theta_h), which is GGX, divided by its peak, for gamma = 2
+    D = exp(log_height) (1 + tan^2(theta_h) / alpha^2)^-gamma / cos^4(theta_h) + bumps, which is GGX for gamma = 2
     (Walter et al. 2007, Eq. 33; with a free exponent: Ribardiere et al. 2017). G is Smith's masking of GGX
     (Walter et al. 2007, Eq. 34) for both directions.
     """
@@ -43,6 +76,7 @@ class Lobe:
     """Logarithm of a constant BRDF, 1/sr."""
     tilt: float
     """Angle of the half vector at which D has its peak, degrees: the surface normal as the stages see it."""
+    bumps: tuple[Bump, ...] = ()
 
     @property
     def half_width(self) -> float:
@@ -51,18 +85,30 @@ class Lobe:
 
     def cosine_brdf(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
         """cos(theta_in) f, any one shape, of signed in-plane angles in degrees."""
-        parameters = np.array([self.log_height, np.log(self.alpha), self.gamma, self.log_floor, self.tilt])
-        return _cosine_brdf(parameters, theta_in, theta_out)
+        parameters = [self.log_height, np.log(self.alpha), self.gamma, self.log_floor, self.tilt]
+        for bump in self.bumps:
+            parameters += [bump.log_height, bump.centre, np.log(bump.width), np.log(bump.exponent)]
+        return _cosine_brdf(np.array(parameters), theta_in, theta_out)
 
 
 def _cosine_brdf(parameters: FloatArray, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
-    log_height, log_alpha, gamma, log_floor, tilt = parameters
+    log_height, log_alpha, gamma, log_floor, tilt = parameters[:5]
     alpha2 = np.exp(2 * log_alpha)
+    cos_in = np.cos(np.radians(theta_in))
+    half = (theta_out - theta_in) / 2 - tilt
+    radians = np.radians(half)
+    D = np.exp(log_height) * (1 + np.tan(radians) ** 2 / alpha2) ** -gamma / np.cos(radians) ** 4
+    for height, centre, log_width, log_exponent in parameters[5:].reshape(-1, 4):
+        exponent = np.exp(log_exponent)
+        away = ((half - centre) / np.exp(log_width)) ** 2
+        D = D + np.exp(height) * (1 + (2 ** (1 / exponent) - 1) * away) ** -exponent
+    return np.asarray(D * _per_height(theta_in, theta_out, alpha2) + np.exp(log_floor) * cos_in)
+
+
+def _per_height(theta_in: FloatArray, theta_out: FloatArray, alpha2: float) -> FloatArray:
+    """cos(theta_in) f for D = 1."""
     cos_in, cos_out = np.cos(np.radians(theta_in)), np.cos(np.radians(theta_out))
-    half = np.radians((theta_out - theta_in) / 2 - tilt)
-    peak = (1 + np.tan(half) ** 2 / alpha2) ** -gamma / np.cos(half) ** 4
-    masking = _smith(cos_in, alpha2) * _smith(cos_out, alpha2)
-    return np.asarray(np.exp(log_height) * peak * masking / (4 * cos_out) + np.exp(log_floor) * cos_in)
+    return np.asarray(_smith(cos_in, alpha2) * _smith(cos_out, alpha2) / (4 * cos_out))
 
 
 def _smith(cosine: FloatArray, alpha2: float) -> FloatArray:
@@ -70,25 +116,56 @@ def _smith(cosine: FloatArray, alpha2: float) -> FloatArray:
 
 
 def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, noise: FloatArray, offset: float) -> Lobe:
-    """The lobe that describes most points, of all incident angles at once, [points] each; angles in degrees.
+    """The lobes that describe most points, of all incident angles at once, [points] each; angles in degrees.
 
-    `latent` is ln(offset + cos(theta_in) f), `noise` its standard uncertainty. Points that the lobe cannot describe
-    count little (soft L1 loss), so a second lobe does not spoil the first. The best of several starts.
+    `latent` is ln(offset + cos(theta_in) f), `noise` its standard uncertainty. Points that the main lobe cannot
+    describe count little (soft L1 loss), so a second lobe does not spoil the first; then a bump is put where the
+    brightest of them is, as long as that explains much. The best of several starts each time.
     """
-    scale = np.hypot(noise, _SCATTER)
 
-    def residuals(parameters: FloatArray) -> FloatArray:
-        return np.asarray((np.log(offset + _cosine_brdf(parameters, theta_in, theta_out)) - latent) / scale)
+    def fitted(starts: list[FloatArray], scatter: float, fixed: int = 0) -> tuple[FloatArray, float]:
+        """The best parameters and their cost, the first `fixed` parameters staying as they are."""
+        scale = np.hypot(noise, scatter)
+        bumps = (starts[0].size - _LOWEST.size) // 4
+        low = np.concatenate([_LOWEST, *[_LOWEST_BUMP] * bumps])
+        high = np.concatenate([_HIGHEST, *[_HIGHEST_BUMP] * bumps])
+        best, lowest = starts[0], np.inf
+        for start in np.clip(starts, low, high):
+
+            def residuals(free: FloatArray, kept: FloatArray = start[:fixed]) -> FloatArray:
+                model = _cosine_brdf(np.concatenate([kept, free]), theta_in, theta_out)
+                return np.asarray((np.log(offset + model) - latent) / scale)
+
+            if fixed:
+                low[-3], high[-3] = start[-3] - _NEAR, start[-3] + _NEAR
+            limits = low[fixed:], high[fixed:]
+            found = least_squares(residuals, start[fixed:], bounds=limits, loss="soft_l1", max_nfev=25)
+            if found.cost < lowest:
+                best, lowest = np.concatenate([start[:fixed], found.x]), float(found.cost)
+        return best, lowest
 
     near = np.argmin(np.abs(theta_out - theta_in))
+    height = latent[near] + np.log(4 * np.cos(np.radians(theta_out[near])))
     floor = float(np.quantile(latent, 0.2))
-    best, lowest_cost = None, np.inf
-    for alpha in _STARTS:
-        start = np.array([latent[near] + np.log(4 * np.cos(np.radians(theta_out[near]))), np.log(alpha), 2.0, floor, 0])
-        found = least_squares(
-            residuals, np.clip(start, _LOWEST, _HIGHEST), bounds=(_LOWEST, _HIGHEST), loss="soft_l1", max_nfev=25
-        )
-        if found.cost < lowest_cost:
-            best, lowest_cost = found.x, found.cost
-    assert best is not None
-    return Lobe(float(best[0]), float(np.exp(best[1])), float(best[2]), float(best[3]), float(best[4]))
+    best, _ = fitted([np.array([height, np.log(alpha), 2.0, floor, 0.0]) for alpha in _STARTS], _SCATTER)
+    for _ in range(_MOST_BUMPS):
+        above = latent - np.log(offset + _cosine_brdf(best, theta_in, theta_out))
+        scatter = float(np.clip(1.48 * np.median(np.abs(above)), _LEAST_SCATTER, _SCATTER))
+        top = int(np.argmax(above / np.hypot(noise, scatter)))
+        if latent.size < best.size + 6 or above[top] <= 0:
+            break
+        missing = np.exp(latent[top]) * (1 - np.exp(-above[top]))
+        missing /= _per_height(theta_in[top], theta_out[top], float(np.exp(2 * best[1])))
+        centre = (theta_out[top] - theta_in[top]) / 2 - best[4]
+        starts = [np.array([*best, np.log(missing), centre, np.log(width), np.log(4.0)]) for width in _BUMP_WIDTHS]
+        _, before = fitted([best], scatter)
+        alone, _ = fitted(starts, scatter, fixed=best.size)
+        better, cost = fitted([alone], scatter)
+        if before - cost < _WORTH:
+            break
+        best = better
+    bumps = tuple(
+        Bump(float(height), float(centre), float(np.exp(width)), float(np.exp(exponent)))
+        for height, centre, width, exponent in best[5:].reshape(-1, 4)
+    )
+    return Lobe(float(best[0]), float(np.exp(best[1])), float(best[2]), float(best[3]), float(best[4]), bumps)

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.geometry import Geometry
-from goniometer.interpolant import Interpolant, Shape, condition, learn, predict
+from goniometer.interpolant import Interpolant, Shape, condition, latent, learn, predict
 from goniometer.kernel import Scales
 from goniometer.plan_spec import (
     SAME,
@@ -58,6 +58,9 @@ SMALLEST_BATCH = 4
 
 GROWTH = 1.25
 """What is known of the sample as a whole is learnt anew when there are so many times more points."""
+
+SURPRISE = 3.0
+"""Mean square of normalised residuals, which ought to be 1, from which on points contradict what was learnt."""
 
 MOST_LEARNT = 400
 """Points from which a sample's lobe and scales are learnt; of more points every second, third, ... is used."""
@@ -172,17 +175,39 @@ def _next(
         # Where nearly all points failed there is nothing to learn from, and the coarse pass is all there is.
         return ordered(missing, spec.motion, here)[:room], replace(result, stopped=None if missing else "step")
     hidden = _hidden(spec, known, measured, swept, pending)
-    if not hidden and np.all(known.totals <= known.goals):
+    accurate = not hidden and bool(np.all(known.totals <= known.goals))
+    if accurate and _confirmed(spec, measured):
         within = np.all(known.totals <= _wanted(spec))
         return [], replace(result, stopped="accuracy" if within else "noise")
     most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
     batch = (hidden + _peaks(spec, known, measured, pending))[: 2 * most]
-    chosen = _chosen(spec, known, measured, [*pending, *batch], max(most - len(batch), 0))
+    most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
+    chosen = _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
     batch = list(dict.fromkeys(batch + chosen))
     if not batch and not pending:
         useful = known.errors.sigma > known.errors.noise
         return [], replace(result, stopped="step" if np.any(useful & (known.where.share > 0)) else "noise")
     return ordered(batch, spec.motion, here)[:room], result
+
+
+def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
+    """Whether the latest points were where those before them said they would be: one more for each incident angle.
+
+    What the coarse pass says of itself is not believed: a lobe can go through a few points and be wrong between them.
+    """
+    before, latest = measured[: -len(spec.theta_in)], measured[-len(spec.theta_in) :]
+    latest = [p for p in latest if np.all(np.isfinite(p.values))]
+    known = _known(spec, before)
+    if len(before) < len(coarse(spec)) or known is None or not latest:
+        return False
+    process = known.process
+    there = predict(
+        process, np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
+    )
+    values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
+    read_noise = noise / (process.shape.offset + np.maximum(values, 0.0))
+    u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
+    return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < SURPRISE)
 
 
 def _room(spec: PlanSpec, measured: list[Measured], pending: Sequence[Geometry]) -> tuple[int, Stop]:
@@ -208,8 +233,8 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     theta_in = np.array([p.geometry.theta_in for p in valued])
     theta_out = np.array([p.geometry.theta_out for p in valued])
     values, noise = np.array([p.values for p in valued]), np.array([p.noise for p in valued])
-    shape = _shape(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST))
-    process = condition(shape, theta_in, theta_out, values, noise)
+    process = _process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST))
+    shape = process.shape
     where = candidates({t: segments(spec, t) for t in spec.theta_in}, shape)
     if spec.importance is not None:
         share = where.share * spec.importance(where.theta_in, where.theta_out)
@@ -219,11 +244,14 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     return _Known(process, where, errors, goals, total(where, errors, errors.sigma))
 
 
-def _shape(theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int) -> Shape:
-    """Lobe and scales by the points that there were when these were last learnt anew.
+def _process(
+    theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int
+) -> Interpolant:
+    """The process conditioned on points, with lobes and scales by those that there were when these were last learnt.
 
-    Each time they are found from the ones before, so the answer depends on the points in their order and on nothing
-    else; it is kept because it takes a while to find.
+    They are learnt from `first` points, anew whenever there are `GROWTH` times more, and at once when a point comes
+    as a surprise. Each time they are found from the ones before, so the answer depends on the points in their order
+    and on nothing else; it is kept because it takes a while to find.
     """
     milestone = min(first, len(theta_in))
     milestones = [milestone]
@@ -232,14 +260,21 @@ def _shape(theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, nois
     table = np.column_stack([theta_in, theta_out, values, noise])
     shape: Shape | None = None
     for count in milestones:
-        stride = math.ceil(count / MOST_LEARNT)
-        shape = _learnt(table[:count:stride].tobytes(), table.shape[1], shape.scales if shape else Scales())
+        shape = _learnt(table, count, shape)
     assert shape is not None
-    return shape
+    process = condition(shape, theta_in, theta_out, values, noise)
+    if milestones[-1] < len(theta_in) and np.mean(np.diag(process.spread)) > SURPRISE:
+        process = condition(_learnt(table, len(table), shape), theta_in, theta_out, values, noise)
+    return process
+
+
+def _learnt(table: FloatArray, count: int, before: Shape | None) -> Shape:
+    stride = math.ceil(count / MOST_LEARNT)
+    return _learnt_from(table[:count:stride].tobytes(), table.shape[1], before.scales if before else None)
 
 
 @lru_cache(maxsize=64)
-def _learnt(table: bytes, columns: int, start: Scales) -> Shape:
+def _learnt_from(table: bytes, columns: int, start: Scales | None) -> Shape:
     points = np.frombuffer(table).reshape(-1, columns)
     bands = (columns - 2) // 2
     return learn(points[:, 0], points[:, 1], points[:, 2 : 2 + bands], points[:, 2 + bands :], start)
@@ -255,7 +290,7 @@ def _reached(measured: list[Measured], known: _Known | None) -> Reached:
 
 
 def _chosen(
-    spec: PlanSpec, known: _Known, measured: Sequence[Measured], pending: Sequence[Geometry], most: int
+    spec: PlanSpec, known: _Known, measured: Sequence[Measured], pending: Sequence[Geometry], most: int, least: int = 1
 ) -> list[Geometry]:
     """The directions that reduce the errors most, when those of `pending` are measured, too."""
     extra_in = np.array([g.theta_in for g in pending])
@@ -270,7 +305,7 @@ def _chosen(
     errors = expected_errors(known.process, where, predicted)
     allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
     later = range(count, count + len(pending))
-    picked = choose(known.process, where, predicted, errors, known.goals, allowed, most, later)
+    picked = choose(known.process, where, predicted, errors, known.goals, allowed, most, least, later)
     return [Geometry(float(where.theta_in[i]), float(where.theta_out[i])) for i in picked]
 
 

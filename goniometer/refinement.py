@@ -112,9 +112,10 @@ def choose(
     goals: FloatArray,
     allowed: BoolArray,
     most: int,
+    least: int = 1,
     pending: Sequence[int] = (),
 ) -> list[int]:
-    """Up to `most` candidates, best first, until both errors are expected to be below `goals` [2].
+    """Up to `most` candidates, best first, until both errors are expected to be below `goals` [2] and at least `least`.
 
     `allowed` [candidates] says which may be measured. A direction that is known as well as a measurement would tell
     it is not chosen: empty where there is no other. `pending` are candidates that will be measured anyway.
@@ -139,6 +140,6 @@ def choose(
         chosen.append(best)
         C -= np.outer(C[best], C[best]) / (left[best] + errors.noise[best] ** 2)
         sigma = np.sqrt(np.maximum(np.diag(C), 0.0)) * predicted.trust
-        if np.all(total(where, errors, sigma) <= 0.9 * goals):
+        if len(chosen) >= least and np.all(total(where, errors, sigma) <= 0.9 * goals):
             break
     return chosen

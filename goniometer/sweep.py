@@ -20,7 +20,7 @@ NODE_DISTANCE = 0.5
 _SIGNIFICANT = 4.0
 """Standard deviations by which a reading must differ from the prediction."""
 
-_ROUGHLY = 0.15
+_ROUGHLY = 0.02
 """Relative difference between reading and prediction that is left to the points."""
 
 
