@@ -19,7 +19,7 @@ from goniometer.lobe import Lobe, fit_lobe
 OFFSET = 1e-4
 """cos(theta_in) f, 1/sr, that is added before the logarithm is taken: what is darker is dark."""
 
-_BELIEF = 4.0
+_BELIEF = 2.0
 """How many points' worth of trust the process has in its own uncertainties before any prediction was checked."""
 
 
@@ -114,11 +114,12 @@ def condition(
     precision = np.diag(inverse).copy()
     half = solve_triangular(factor, residual, lower=True, check_finite=False)
     weights = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
-    # Maximum likelihood of a separable covariance of points and bands, with the trust of a few points in bands that
-    # go together.
+    # Maximum likelihood of a separable covariance of points and bands, less the freedom that the lobes took, with the
+    # trust of a few points in bands that go together.
     bands = residual.shape[1]
     together = 0.95 + 0.05 * np.eye(bands)
-    spread = (half.T @ half + _BELIEF * together) / (len(residual) + _BELIEF)
+    free = max(len(residual) - shape.lobe.parameters, 1)
+    spread = (half.T @ half + _BELIEF * together) / (free + _BELIEF)
     scores = np.mean(weights**2 / np.diag(spread), axis=1) / precision
     return Interpolant(shape, at, u, factor, weights, scores, spread)
 

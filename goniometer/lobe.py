@@ -83,6 +83,11 @@ class Lobe:
         """Half vector angle from the peak of D to its half, degrees."""
         return float(np.degrees(np.arctan(self.alpha * np.sqrt(2 ** (1 / self.gamma) - 1))))
 
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted."""
+        return 5 + 4 * len(self.bumps)
+
     def cosine_brdf(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
         """cos(theta_in) f, any one shape, of signed in-plane angles in degrees."""
         parameters = [self.log_height, np.log(self.alpha), self.gamma, self.log_floor, self.tilt]

@@ -62,6 +62,9 @@ GROWTH = 1.25
 SURPRISE = 3.0
 """Mean square of normalised residuals, which ought to be 1, from which on points contradict what was learnt."""
 
+CONFIRMED = 2.0
+"""The same of predictions that were made before their points were measured, up to which they confirm the process."""
+
 MOST_LEARNT = 400
 """Points from which a sample's lobe and scales are learnt; of more points every second, third, ... is used."""
 
@@ -185,6 +188,8 @@ def _next(
     chosen = _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
     batch = list(dict.fromkeys(batch + chosen))
     if not batch and not pending:
+        if np.all(known.totals <= _wanted(spec)):
+            return [], replace(result, stopped="accuracy")
         useful = known.errors.sigma > known.errors.noise
         return [], replace(result, stopped="step" if np.any(useful & (known.where.share > 0)) else "noise")
     return ordered(batch, spec.motion, here)[:room], result
@@ -207,7 +212,7 @@ def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
     values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
     read_noise = noise / (process.shape.offset + np.maximum(values, 0.0))
     u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
-    return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < SURPRISE)
+    return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < CONFIRMED)
 
 
 def _room(spec: PlanSpec, measured: list[Measured], pending: Sequence[Geometry]) -> tuple[int, Stop]:
