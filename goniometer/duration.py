@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def point_time(
 
     The first point is left out, because nobody knows from where the arm came. Needs two points.
     """
-    moving = np.array([motion.seconds(a, b) for a, b in zip(path, path[1:], strict=False)])
+    moving = np.array([motion.seconds(a, b) for a, b in pairwise(path)])
     taken, integrated = np.array(seconds[1:]), np.array(integration[1:])
     # Recovery from a fault makes single points long; it is not what a point takes.
     dead = float(np.median(taken - integrated - moving))

@@ -167,32 +167,38 @@ def _next(
     here = pending[-1] if pending else measured[-1].geometry if measured else None
     room, exhausted = _room(spec, measured, pending)
     known = _known(spec, measured)
-    result = _reached(measured, known)
-    if room <= 0:
-        return [], replace(result, stopped=exhausted)
-    if spec.mode == "uniform":
-        path = ordered(_missing(spec, measured, pending), spec.motion, here)
-        return path[:room], replace(result, stopped=None if path else "grid")
+    batch, stop = _batch(spec, known, measured, swept, pending)
+    if batch and room <= 0:
+        batch, stop = [], exhausted
+    return ordered(batch, spec.motion, here)[: max(room, 0)], replace(_reached(measured, known), stopped=stop)
+
+
+def _batch(
+    spec: PlanSpec,
+    known: _Known | None,
+    measured: list[Measured],
+    swept: Sequence[Swept],
+    pending: Sequence[Geometry],
+) -> tuple[list[Geometry], Stop | None]:
+    """The next directions in any order, without regard to budgets; where there are none, why."""
     missing = _missing(spec, measured, pending)
-    if missing or known is None:
+    if missing or known is None or spec.mode == "uniform":
         # Where nearly all points failed there is nothing to learn from, and the coarse pass is all there is.
-        return ordered(missing, spec.motion, here)[:room], replace(result, stopped=None if missing else "step")
+        return missing, None if missing or pending else "grid" if spec.mode == "uniform" else "step"
     hidden = _hidden(spec, known, measured, swept, pending)
     accurate = not hidden and bool(np.all(known.totals <= known.goals))
-    if accurate and _confirmed(spec, measured):
-        within = np.all(known.totals <= _wanted(spec))
-        return [], replace(result, stopped="accuracy" if within else "noise")
-    most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
-    batch = (hidden + _peaks(spec, known, measured, pending))[: 2 * most]
-    most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
-    chosen = _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
-    batch = list(dict.fromkeys(batch + chosen))
-    if not batch and not pending:
-        if np.all(known.totals <= _wanted(spec)):
-            return [], replace(result, stopped="accuracy")
-        useful = known.errors.sigma > known.errors.noise
-        return [], replace(result, stopped="step" if np.any(useful & (known.where.share > 0)) else "noise")
-    return ordered(batch, spec.motion, here)[:room], result
+    batch: list[Geometry] = []
+    if not (accurate and _confirmed(spec, measured)):
+        most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
+        batch = (hidden + _peaks(spec, known, measured, pending))[: 2 * most]
+        most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
+        batch += _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
+    if batch or pending:
+        return list(dict.fromkeys(batch)), None
+    if np.all(known.totals <= _wanted(spec)):
+        return [], "accuracy"
+    useful = (known.errors.sigma > known.errors.noise) & (known.where.share > 0)
+    return [], "step" if not accurate and np.any(useful) else "noise"
 
 
 def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:

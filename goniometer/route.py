@@ -3,15 +3,19 @@
 A stage accelerates, cruises and brakes (`drivers.travel.travel_time`); both move at once. A stage with backlash is
 always left standing after a move upwards, so on the way down it passes its target and comes back: sweeping upwards is
 quick, and whether an incident angle is swept upwards or downwards is chosen so that the whole path is shortest. The
-sample stage goes once through the incident angles of a batch, beginning at one end or the other.
+sample stage stands once at each incident angle of a batch.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby, pairwise, permutations
 
 from drivers.travel import travel_time
 from goniometer.geometry import Geometry
+
+FEW = 4
+"""Incident angles of which all orders are tried."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +86,21 @@ def travel(path: Sequence[Geometry], motion: Motion, start: Geometry | None = No
 def ordered(points: Sequence[Geometry], motion: Motion = Motion(), start: Geometry | None = None) -> list[Geometry]:
     """`points` in the order in which to visit them, from `start` or from wherever is best.
 
-    All directions of one incident angle follow each other in one sweep. The quickest of all such paths that take
-    the incident angles in ascending or descending order.
+    All directions of one incident angle follow each other in one sweep, first those of the angle at which the sample
+    stage stands, so that it moves as rarely as possible. The quickest of all such paths that take the other incident
+    angles in ascending or descending order, or first those on one side of where the stage stands and then those on the
+    other; of few incident angles, in any order.
     """
-    ascending = sorted(points)
-    groups = [list(group) for _, group in groupby(ascending, key=lambda g: g.theta_in)]
-    paths = [_best_sweeps(order, motion, start) for order in (groups, groups[::-1]) if order]
-    return min(paths, key=lambda path: path[0])[1] if paths else []
+    groups = [list(group) for _, group in groupby(sorted(points), key=lambda g: g.theta_in)]
+    stands = start.theta_in if start is not None else -math.inf
+    here = [group for group in groups if group[0].theta_in == stands]
+    below = [group for group in groups if group[0].theta_in < stands][::-1]
+    above = [group for group in groups if group[0].theta_in > stands]
+    if len(below) + len(above) <= FEW:
+        others = [list(order) for order in permutations([*below, *above])]
+    else:
+        others = [[*below, *above], [*above, *below], [*below[::-1], *above], [*above[::-1], *below]]
+    return min((_best_sweeps([*here, *order], motion, start) for order in others), key=lambda path: path[0])[1]
 
 
 def _best_sweeps(groups: list[list[Geometry]], motion: Motion, start: Geometry | None) -> tuple[float, list[Geometry]]:
