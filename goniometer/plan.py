@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.geometry import Geometry
-from goniometer.interpolant import Interpolant, Shape, condition, latent, learn, predict
+from goniometer.interpolant import Interpolant, Prediction, Shape, condition, latent, learn, predict
 from goniometer.kernel import Scales
 from goniometer.plan_spec import (
     SAME,
@@ -42,6 +42,7 @@ __all__ = [
     "Reached",
     "blocked_ranges",
     "expected_total",
+    "interpolation",
     "next_points",
     "plan_spec",
     "reached",
@@ -147,12 +148,19 @@ _LOOKAHEAD = 150
 """Points up to which the length of a sampling is foreseen."""
 
 
+def interpolation(spec: PlanSpec, measured: Sequence[Measured]) -> Interpolant | None:
+    """The process by which the plan judges, conditioned on all points so far; None where they are too few."""
+    known = _known(spec, measured)
+    return None if known is None else known.process
+
+
 @dataclass(frozen=True)
 class _Known:
     """What the measured points tell."""
 
     process: Interpolant
     where: Candidates
+    predicted: Prediction
     errors: Errors
     goals: FloatArray
     """[2] wanted errors, or what the noise supports where that is more."""
@@ -238,7 +246,8 @@ def _wanted(spec: PlanSpec) -> FloatArray:
 
 def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     """The process conditioned on the measured points and its errors; None where they are too few."""
-    valued = [p for p in measured if np.all(np.isfinite(p.values)) and np.all(np.isfinite(p.noise))]
+    # a failed point may have another number of bands
+    valued = [p for p in measured if math.isfinite(p.values.sum() + p.noise.sum())]
     if len(valued) < FEWEST:
         return None
     theta_in = np.array([p.geometry.theta_in for p in valued])
@@ -250,9 +259,10 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     if spec.importance is not None:
         share = where.share * spec.importance(where.theta_in, where.theta_out)
         where = replace(where, share=share / share.sum())
-    errors = expected_errors(process, where, predict(process, where.theta_in, where.theta_out))
+    predicted = predict(process, where.theta_in, where.theta_out)
+    errors = expected_errors(process, where, predicted)
     goals = np.maximum(_wanted(spec), errors.noise_floor)
-    return _Known(process, where, errors, goals, total(where, errors, errors.sigma))
+    return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
 
 
 def _process(
@@ -304,16 +314,16 @@ def _chosen(
     spec: PlanSpec, known: _Known, measured: Sequence[Measured], pending: Sequence[Geometry], most: int, least: int = 1
 ) -> list[Geometry]:
     """The directions that reduce the errors most, when those of `pending` are measured, too."""
-    extra_in = np.array([g.theta_in for g in pending])
-    extra_out = np.array([g.theta_out for g in pending])
-    count = known.where.theta_in.size
-    where = Candidates(
-        np.concatenate([known.where.theta_in, extra_in]),
-        np.concatenate([known.where.theta_out, extra_out]),
-        np.concatenate([known.where.share, np.zeros(extra_in.size)]),
-    )
-    predicted = predict(known.process, where.theta_in, where.theta_out)
-    errors = expected_errors(known.process, where, predicted)
+    where, predicted, errors = known.where, known.predicted, known.errors
+    count = where.theta_in.size
+    if pending:
+        where = Candidates(
+            np.append(where.theta_in, [g.theta_in for g in pending]),
+            np.append(where.theta_out, [g.theta_out for g in pending]),
+            np.append(where.share, np.zeros(len(pending))),
+        )
+        predicted = predict(known.process, where.theta_in, where.theta_out)
+        errors = expected_errors(known.process, where, predicted)
     allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
     later = range(count, count + len(pending))
     picked = choose(known.process, where, predicted, errors, known.goals, allowed, most, least, later)
@@ -323,9 +333,9 @@ def _chosen(
 def _apart(where: Candidates, visited: Sequence[Geometry], minimum_step: float) -> BoolArray:
     """[candidates] which lie at least `minimum_step` from every visited direction of their incident angle."""
     allowed = np.ones(where.theta_in.size, dtype=bool)
+    visited_in, visited_out = np.array([(g.theta_in, g.theta_out) for g in visited]).reshape(-1, 2).T
     for t in np.unique(where.theta_in):
-        there = where.theta_in == t
-        taken = np.array([g.theta_out for g in visited if abs(g.theta_in - t) <= SAME])
+        there, taken = where.theta_in == t, visited_out[np.abs(visited_in - t) <= SAME]
         if taken.size:
             distance = np.abs(where.theta_out[there, None] - taken).min(axis=1)
             allowed[there] = distance >= minimum_step - SAME
@@ -349,8 +359,7 @@ def _peaks(spec: PlanSpec, known: _Known, measured: list[Measured], pending: Seq
 
     Between rough facets that shade each other it lies beyond the mirror direction.
     """
-    predicted = predict(known.process, known.where.theta_in, known.where.theta_out)
-    level = predicted.latent.mean(axis=1)
+    level = known.predicted.latent.mean(axis=1)
     near = max(spec.minimum_step, 0.5 * known.process.shape.lobe.half_width)
     allowed = _apart(known.where, [*(p.geometry for p in measured), *pending], near)
     found = []

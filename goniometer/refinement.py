@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from drivers.arrays import BoolArray, FloatArray
@@ -104,6 +105,17 @@ def total(where: Candidates, errors: Errors, sigma: FloatArray) -> FloatArray:
     return np.array([rms[0], mean])
 
 
+_NEGLIGIBLE = 1e-3
+"""Part of the expected square of the errors that may come from candidates that are not looked at."""
+
+
+def _weighty(squares: FloatArray) -> NDArray[np.intp]:
+    """The candidates from which nearly all of the errors come."""
+    order = np.argsort(-squares, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(squares[order]), (1 - _NEGLIGIBLE) * squares.sum())) + 1
+    return order[:enough]
+
+
 def choose(
     process: Interpolant,
     where: Candidates,
@@ -120,26 +132,30 @@ def choose(
     `allowed` [candidates] says which may be measured. A direction that is known as well as a measurement would tell
     it is not chosen: empty where there is no other. `pending` are candidates that will be measured anyway.
     """
-    at = coordinates(where.theta_in, where.theta_out, process.shape.lobe)
-    C = covariance(at, at, process.shape.scales) - predicted.solved.T @ predicted.solved
     trust2 = predicted.trust**2
     open_goals = total(where, errors, errors.sigma) > goals
     if not open_goals.any():
         open_goals[:] = True
     weight = where.share * trust2 * ((errors.per_sigma / goals) ** 2 @ open_goals)
-    for known in pending:
-        C -= np.outer(C[known], C[known]) / (C[known, known] + errors.noise[known] ** 2)
+    kept = np.union1d(_weighty(weight * predicted.sigma**2), np.asarray(pending, dtype=int))
+    at = coordinates(where.theta_in[kept], where.theta_out[kept], process.shape.lobe)
+    solved = predicted.solved[:, kept]
+    C = covariance(at, at, process.shape.scales) - solved.T @ solved
+    weight, trust2, noise2, free = weight[kept], trust2[kept], errors.noise[kept] ** 2, allowed[kept]
+    for known in np.searchsorted(kept, pending):
+        C -= np.outer(C[known], C[known]) / (C[known, known] + noise2[known])
     chosen: list[int] = []
+    sigma = errors.sigma.copy()
     for _ in range(most):
         left = np.maximum(np.diag(C), 0.0)
-        useful = allowed & (left * trust2 > errors.noise**2)
+        useful = free & (left * trust2 > noise2)
         if not useful.any():
             break
-        gain = np.where(useful, (C**2 @ weight) / (left + errors.noise**2), -1.0)
+        gain = np.where(useful, (C**2 @ weight) / (left + noise2), -1.0)
         best = int(np.argmax(gain))
-        chosen.append(best)
-        C -= np.outer(C[best], C[best]) / (left[best] + errors.noise[best] ** 2)
-        sigma = np.sqrt(np.maximum(np.diag(C), 0.0)) * predicted.trust
+        chosen.append(int(kept[best]))
+        C -= np.outer(C[best], C[best]) / (left[best] + noise2[best])
+        sigma[kept] = np.sqrt(np.maximum(np.diag(C), 0.0) * trust2)
         if len(chosen) >= least and np.all(total(where, errors, sigma) <= 0.9 * goals):
             break
     return chosen

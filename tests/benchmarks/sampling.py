@@ -19,7 +19,7 @@ from drivers.arrays import FloatArray
 from goniometer.duration import DEAD_TIME
 from goniometer.geometry import Geometry
 from goniometer.interpolant import Interpolant, condition, learn, predict_values
-from goniometer.plan import Measured, PlanSpec, next_points, reached, segments
+from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
 from goniometer.route import Motion, ordered, travel
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS, Truth
 
@@ -110,10 +110,10 @@ def measure(truth: Truth, path: Sequence[Geometry], random: np.random.Generator)
     return [Measured(g, v, u) for g, v, u in zip(path, read, noise, strict=True)]
 
 
-def minutes(points: Sequence[Measured], motion: Motion = Motion()) -> float:
+def minutes(points: Sequence[Measured]) -> float:
     """Time to measure points in this order: moves, integration until the detector is full, dead time."""
     integration = sum(float(np.clip(FULL / max(p.values.max(), 1e-9), 0.008, 30.0)) for p in points)
-    return (travel([p.geometry for p in points], motion).seconds + integration + DEAD_TIME * len(points)) / 60
+    return (travel([p.geometry for p in points], Motion()).seconds + integration + DEAD_TIME * len(points)) / 60
 
 
 def uniform_points(step: float) -> list[Geometry]:
@@ -230,7 +230,8 @@ def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
     results.append(result("dynamic, dE00 0.1", points, through_process_of_plan(spec, points), spec))
     print(f"\n{name}")
     print(
-        f"{'method':28}{'points':>8}{'minutes':>9}{'rms':>9}{'max':>9}{'rms 1e-4':>10}{'dE00':>8}   predicted rms, max, dE00"
+        f"{'method':28}{'points':>8}{'minutes':>9}{'rms':>9}{'max':>9}{'rms 1e-4':>10}{'dE00':>8}"
+        "   predicted rms, max, dE00"
     )
     for r in results:
         told = (
@@ -251,11 +252,9 @@ def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
 
 def through_process_of_plan(spec: PlanSpec, points: list[Measured]) -> Read:
     """What the plan itself believes at its end."""
-    from goniometer.plan import _known  # noqa: PLC0415
-
-    known = _known(spec, points)
-    assert known is not None
-    return lambda theta_in, theta_out: predict_values(known.process, theta_in, theta_out)[0]
+    process = interpolation(spec, points)
+    assert process is not None
+    return lambda theta_in, theta_out: predict_values(process, theta_in, theta_out)[0]
 
 
 def ratio(one: Result, results: Sequence[Result], error: Callable[[Result], float]) -> float:

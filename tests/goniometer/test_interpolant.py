@@ -31,6 +31,7 @@ from goniometer.kernel import (
 from goniometer.lobe import Bump, Lobe, fit_lobe
 from goniometer.uncertainty import ErrorSource
 
+BANDS = np.array([450.0, 550.0, 650.0, 800.0])
 THETA_IN = (0.0, 20.0, 40.0, 60.0)
 LOBE = Lobe(1.0, 0.1, 2.0, -3.0, 0.2, (Bump(-2.0, 12.0, 2.0, 3.0),))
 SCALES = Scales(1.3, 50.0, 35.0, 0.4, 0.7)
@@ -43,7 +44,7 @@ def directions(count, seed=0):
     return theta_in, np.where(np.abs(theta_in + theta_out) < 5, theta_out + 11, theta_out)
 
 
-def metal(theta_in, theta_out, alpha=0.15, wavelengths=np.array([450.0, 550.0, 650.0, 800.0])):
+def metal(theta_in, theta_out, alpha=0.15, wavelengths=BANDS):
     brdf = cook_torrance(in_plane(theta_in, theta_out), wavelengths, alpha, load_conductor(), 0.9, 4.0)
     return brdf * np.cos(np.radians(theta_in))[:, None]
 

@@ -23,9 +23,7 @@ def best_of_all(points, motion, start, sample_move=1000.0):
         for chosen in map(frozenset, combinations(range(len(points)), size)):
             for last in chosen:
                 before = chosen - {last}
-                cost[chosen, last] = min(
-                    cost[before, k] + seconds(points[k], points[last]) for k in before
-                )
+                cost[chosen, last] = min(cost[before, k] + seconds(points[k], points[last]) for k in before)
     everything = frozenset(range(len(points)))
     return min(cost[everything, k] for k in everything) % (sample_move or np.inf)
 
