@@ -1,6 +1,6 @@
 """What a pass of the plan costs at 400 points of 1044 wavelengths. Run as a module.
 
-Prints milliseconds of processor time, and each as a part of the shortest time in which the bench can measure a batch meanwhile.
+Prints milliseconds of processor time, and each as a part of the time in which the bench measures a batch meanwhile.
 """
 
 import time
