@@ -98,7 +98,8 @@ def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequenc
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->|<style.*?</style>|<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text).replace(INK, "currentColor")
-    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)
+    # coordinates only: a label keeps its digits
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
     text = _unique_ids(text, name)
     if cells is not None:
         drawn = "\n".join(_rectangle(cells[0], cell, figure.bbox.height) for cell in cells[1])

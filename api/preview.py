@@ -58,7 +58,8 @@ class Preview:
         colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
         told.append(
             f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
-            f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} points a sample."
+            f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} points "
+            f"a sample."
         )
         told.append("Left out because the detector would stand in the beam:")
         told += [f"  theta_in {t:g}°: theta_out {low:g}° to {high:g}°" for t, (low, high) in self.blocked.items()]

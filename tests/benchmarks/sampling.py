@@ -271,6 +271,7 @@ def ratio(one: Result, results: Sequence[Result], error: Callable[[Result], floa
 def chart(everything: dict[str, list[Result]]) -> str:
     """Error against points and against time, and predicted against actual error, as SVG."""
     from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.ticker import NullFormatter  # noqa: PLC0415
 
     from analysis.svg import INK, style, to_svg  # noqa: PLC0415
 
@@ -327,9 +328,11 @@ def chart(everything: dict[str, list[Result]]) -> str:
             row[2].set(ylabel="predicted")
             for ax in row:
                 ax.set_facecolor("none")
+                ax.xaxis.set_minor_formatter(NullFormatter())
+                ax.yaxis.set_minor_formatter(NullFormatter())
                 ax.grid(visible=True)
                 ax.spines[["top", "right"]].set_visible(False)
-        axes[0][0].legend(frameon=False, fontsize=7)
+        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False)
         axes[0][2].legend(frameon=False, fontsize=7)
         for ax, label in zip(
             axes[-1], ("points an incident angle", "minutes at the bench", "actual error"), strict=True
