@@ -49,7 +49,7 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
     whole = np.isfinite(values).all(axis=0)
     if not whole.any():
         raise CalibrationError(f'Sample "{dataset.sample}" has no wavelength at which all usable points have a value')
-    shape = learn(at_in, at_out, values[:, whole], noise[:, whole])
+    shape = learn(at_in, at_out, values[:, whole], noise[:, whole], dataset.u_angle)
     brdf = np.empty((theta_in.size, dataset.wavelengths.size))
     u = np.empty_like(brdf)
     patterns, which = np.unique(np.isfinite(values), axis=1, return_inverse=True)

@@ -7,7 +7,7 @@ process is told by the process itself: each point is predicted from all others, 
 than they claim, so will be those of directions that were not measured.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, lapack, solve_triangular
@@ -31,6 +31,25 @@ class Shape:
     scales: Scales
     offset: float
     """cos(theta_in) f, 1/sr, that is added before the logarithm is taken."""
+    u_angle: float = 0.0
+    """Standard uncertainty of a stage's position, degrees."""
+
+    def level(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+        """ln(offset + cos f) of the lobes at directions [points], degrees."""
+        return np.asarray(np.log(self.offset + self.lobe.cosine_brdf(theta_in, theta_out)))
+
+    def read_noise(
+        self, theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray
+    ) -> FloatArray:
+        """[points] standard uncertainty of ln(offset + cos f) of measured points, arguments as for `learn`.
+
+        The median over the bands of their own, and what an error of the stages makes of it where a lobe is steep: a
+        degree of the sample stage turns the half vector by one degree, a degree of the detector stage by half of one.
+        """
+        own = np.median(noise / (self.offset + np.maximum(values, 0.0)), axis=1)
+        step = 0.05
+        slope = (self.level(theta_in, theta_out + step) - self.level(theta_in, theta_out - step)) / step
+        return np.asarray(np.hypot(own, slope * np.sqrt(1.25) * self.u_angle))
 
 
 @dataclass(frozen=True)
@@ -73,40 +92,41 @@ def latent(values: FloatArray, offset: float) -> FloatArray:
     return np.asarray(np.log(offset + np.maximum(values, 0.0)))
 
 
-def latent_noise(values: FloatArray, noise: FloatArray, offset: float) -> FloatArray:
-    """[points] standard uncertainty of ln(offset + cos f): the median over the bands [points, bands]."""
-    return np.asarray(np.median(noise / (offset + np.maximum(values, 0.0)), axis=1))
-
-
 def learn(
     theta_in: FloatArray,
     theta_out: FloatArray,
     values: FloatArray,
     noise: FloatArray,
+    u_angle: float = 0.0,
     start: Scales | None = None,
     steps: int = 12,
 ) -> Shape:
     """Lobe and scales of a sample from the mean over bands of its measured points.
 
     `theta_in`, `theta_out` [points] in degrees, `values` [points, bands] cos(theta_in) f and its standard uncertainty
-    `noise`, both 1/sr and finite. The search for the scales begins at `start` and ends after `steps`.
+    `noise`, both 1/sr and finite, `u_angle` the standard uncertainty of a stage's position, degrees. The search for the
+    scales begins at `start` and ends after `steps`.
     """
     offset = max(OFFSET, float(np.quantile(noise, 0.1)))
-    mean, u = latent(values, offset).mean(axis=1), latent_noise(values, noise, offset)
-    lobe = fit_lobe(theta_in, theta_out, mean, u, offset)
-    residual = mean - np.log(offset + lobe.cosine_brdf(theta_in, theta_out))
-    scales = fit_scales(coordinates(theta_in, theta_out, lobe), residual, u, start or Scales(), steps)
-    return Shape(lobe, scales, offset)
+    mean = latent(values, offset).mean(axis=1)
+    u = np.median(noise / (offset + np.maximum(values, 0.0)), axis=1)
+    shape = Shape(fit_lobe(theta_in, theta_out, mean, u, offset), Scales(), offset, u_angle)
+    u = shape.read_noise(theta_in, theta_out, values, noise)
+    if u_angle > 0:  # a flank told how little it can tell
+        shape = replace(shape, lobe=fit_lobe(theta_in, theta_out, mean, u, offset))
+        u = shape.read_noise(theta_in, theta_out, values, noise)
+    at = coordinates(theta_in, theta_out, shape.lobe)
+    return replace(shape, scales=fit_scales(at, mean - shape.level(theta_in, theta_out), u, start or Scales(), steps))
 
 
 def condition(
     shape: Shape, theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray
 ) -> Interpolant:
     """The process given measured points; arguments as for `learn`."""
-    offset, power = shape.offset, shape.scales.amplitude**2
+    power = shape.scales.amplitude**2
     at = coordinates(theta_in, theta_out, shape.lobe)
-    u = latent_noise(values, noise, offset)
-    residual = latent(values, offset) - np.log(offset + shape.lobe.cosine_brdf(theta_in, theta_out))[:, None]
+    u = shape.read_noise(theta_in, theta_out, values, noise)
+    residual = latent(values, shape.offset) - shape.level(theta_in, theta_out)[:, None]
     K = covariance(at, at, shape.scales)
     K[np.diag_indices_from(K)] += u**2 + JITTER * power
     factor = cholesky(K, lower=True, overwrite_a=True, check_finite=False)
@@ -131,7 +151,7 @@ def predict(process: Interpolant, theta_in: FloatArray, theta_out: FloatArray) -
     cross = covariance(process.at, at, shape.scales)
     solved = solve_triangular(process.factor, cross, lower=True, check_finite=False)
     left = variance(at, shape.scales) - np.einsum("ij,ij->j", solved, solved)
-    level = np.log(shape.offset + shape.lobe.cosine_brdf(theta_in, theta_out))
+    level = shape.level(theta_in, theta_out)
     near = cross / shape.scales.amplitude**2
     trust = (_BELIEF + process.scores @ near) / (_BELIEF + near.sum(axis=0))
     return Prediction(

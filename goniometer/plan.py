@@ -220,11 +220,10 @@ def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
     if len(before) < len(coarse(spec)) or known is None or not latest:
         return False
     process = known.process
-    there = predict(
-        process, np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
-    )
+    at = np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
+    there = predict(process, *at)
     values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
-    read_noise = noise / (process.shape.offset + np.maximum(values, 0.0))
+    read_noise = process.shape.read_noise(*at, values, noise)[:, None]
     u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
     return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < CONFIRMED)
 
@@ -253,7 +252,7 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     theta_in = np.array([p.geometry.theta_in for p in valued])
     theta_out = np.array([p.geometry.theta_out for p in valued])
     values, noise = np.array([p.values for p in valued]), np.array([p.noise for p in valued])
-    process = _process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST))
+    process = _process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST), spec.u_angle)
     shape = process.shape
     where = candidates({t: segments(spec, t) for t in spec.theta_in}, shape)
     if spec.importance is not None:
@@ -266,7 +265,7 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
 
 
 def _process(
-    theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int
+    theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int, u_angle: float
 ) -> Interpolant:
     """The process conditioned on points, with lobes and scales by those that there were when these were last learnt.
 
@@ -281,24 +280,24 @@ def _process(
     table = np.column_stack([theta_in, theta_out, values, noise])
     shape: Shape | None = None
     for count in milestones:
-        shape = _learnt(table, count, shape)
+        shape = _learnt(table, count, u_angle, shape)
     assert shape is not None
     process = condition(shape, theta_in, theta_out, values, noise)
     if milestones[-1] < len(theta_in) and np.mean(np.diag(process.spread)) > SURPRISE:
-        process = condition(_learnt(table, len(table), shape), theta_in, theta_out, values, noise)
+        process = condition(_learnt(table, len(table), u_angle, shape), theta_in, theta_out, values, noise)
     return process
 
 
-def _learnt(table: FloatArray, count: int, before: Shape | None) -> Shape:
+def _learnt(table: FloatArray, count: int, u_angle: float, before: Shape | None) -> Shape:
     stride = math.ceil(count / MOST_LEARNT)
-    return _learnt_from(table[:count:stride].tobytes(), table.shape[1], before.scales if before else None)
+    return _learnt_from(table[:count:stride].tobytes(), table.shape[1], u_angle, before.scales if before else None)
 
 
 @lru_cache(maxsize=64)
-def _learnt_from(table: bytes, columns: int, start: Scales | None) -> Shape:
+def _learnt_from(table: bytes, columns: int, u_angle: float, start: Scales | None) -> Shape:
     points = np.frombuffer(table).reshape(-1, columns)
     bands = (columns - 2) // 2
-    return learn(points[:, 0], points[:, 1], points[:, 2 : 2 + bands], points[:, 2 + bands :], start)
+    return learn(points[:, 0], points[:, 1], points[:, 2 : 2 + bands], points[:, 2 + bands :], u_angle, start)
 
 
 def _reached(measured: list[Measured], known: _Known | None) -> Reached:

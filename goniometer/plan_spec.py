@@ -46,6 +46,8 @@ class PlanSpec:
     importance: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     """How much directions matter: a non-negative number [points] for each theta_in and theta_out [points]; None where
     all matter alike. Errors are averaged with it, so directions of importance 0 are not measured for their own sake."""
+    u_angle: float = 0.0
+    """Standard uncertainty of a stage's position: a point on a steep flank cannot tell more than that."""
     motion: Motion = field(default=Motion())
     """How the bench moves, for the order of a batch."""
 

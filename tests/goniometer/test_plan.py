@@ -150,6 +150,21 @@ def test_noise_is_not_chased_and_the_result_says_so():
     assert told.error > spec.tolerance
 
 
+def test_errors_of_the_stages_on_the_flank_of_a_mirror_are_not_chased():
+    random = np.random.default_rng(4)
+    spec = PlanSpec(SPEC.theta_in, tolerance=0.005, colour_tolerance=None, u_angle=0.03, most_points=200)
+    measured = []
+    while batch := next_points(spec, measured):
+        sample, detector = 0.03 * random.normal(size=(2, len(batch)))
+        stood = [Geometry(g.theta_in + s, g.theta_out + d - s) for g, s, d in zip(batch, sample, detector, strict=True)]
+        values = cosine_brdf(stood, 0.0045)
+        measured += [Measured(g, v, 0.001 * v + 1e-5) for g, v in zip(batch, values, strict=True)]
+    told = reached(spec, measured)
+    assert told.stopped in {"noise", "accuracy"}
+    assert len(measured) < 60
+    assert told.noise_error > 0.002
+
+
 def test_failed_points_are_left_alone_and_the_sampling_still_ends():
     random, measured = np.random.default_rng(3), []
     nothing = np.full(4, np.nan)
