@@ -347,9 +347,11 @@ def _hidden(
     """Directions that search for what the pre-scan saw and the points do not explain."""
     visited = [*(p.geometry for p in measured), *pending]
     found: list[Geometry] = []
-    for reading in unexplained(known.process, swept):
+    for reading in unexplained(known.process, swept, visited):
         there = np.array([g.theta_out for g in visited if abs(g.theta_in - reading.theta_in) <= SAME])
-        found += [g for g in searched(reading, there, spec.minimum_step) if not g.blocked]
+        place = searched(reading, there, spec.minimum_step)
+        if place is not None and not place.blocked:
+            found.append(place)
     return found
 
 

@@ -20,8 +20,14 @@ NODE_DISTANCE = 0.5
 _SIGNIFICANT = 4.0
 """Standard deviations by which a reading must differ from the prediction."""
 
-_ROUGHLY = 0.02
-"""Relative difference between reading and prediction that is left to the points."""
+_ALIKE = 0.02
+"""Relative difference between reading and prediction that may come from the motion."""
+
+_EXAMINED = 3
+"""Points in an interval that see every lobe in it which is as wide as the aperture, the interval being 2 degrees."""
+
+_ROUGHLY = 0.15
+"""Relative difference that is left to the points where an interval has been examined."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,12 @@ def averaged(
     return np.asarray(brdf(np.full(count, theta_in), at).mean(axis=0))
 
 
-def unexplained(process: Interpolant, swept: Sequence[Swept]) -> list[Swept]:
-    """The readings that the process does not explain by what it knows, worst first."""
+def unexplained(process: Interpolant, swept: Sequence[Swept], visited: Sequence[Geometry]) -> list[Swept]:
+    """The readings that the process does not explain by what it knows, worst first.
+
+    It is looked at less closely where an interval contains enough of the directions `visited`: the lobe in it is known
+    then, and how accurately is for the plan to judge.
+    """
     counts = [max(int(np.ceil((s.stop - s.start) / NODE_DISTANCE - 1e-9)), 1) for s in swept]
     if not counts:
         return []
@@ -80,26 +90,22 @@ def unexplained(process: Interpolant, swept: Sequence[Swept]) -> list[Swept]:
     size = np.array(counts)[:, None]
     predicted, doubt = np.add.reduceat(values, begins) / size, np.add.reduceat(u, begins) / size
     read, noise = np.array([s.values for s in swept]), np.array([s.noise for s in swept])
-    allowed = np.sqrt(noise**2 + doubt**2 + (_ROUGHLY / _SIGNIFICANT * np.maximum(read, predicted)) ** 2)
+    inside = [sum(s.theta_in == g.theta_in and s.start < g.theta_out < s.stop for g in visited) for s in swept]
+    alike = np.where(np.array(inside) >= _EXAMINED, _ROUGHLY, _ALIKE)[:, None]
+    allowed = np.sqrt(noise**2 + doubt**2 + (alike / _SIGNIFICANT * np.maximum(read, predicted)) ** 2)
     # The bands see the same lobe: their mean is judged, with the noise that the mean has at the most.
     score = np.abs(np.mean(read - predicted, axis=1)) / np.mean(allowed, axis=1)
     return [swept[i] for i in np.argsort(-score) if score[i] > _SIGNIFICANT]
 
 
-def searched(reading: Swept, visited: FloatArray, minimum_step: float, most: int = 3) -> list[Geometry]:
-    """Up to `most` directions in the interval of a reading that split the largest gaps between `visited`, degrees.
+def searched(reading: Swept, visited: FloatArray, minimum_step: float) -> Geometry | None:
+    """The direction in the interval of a reading that splits the largest gap between `visited`, degrees.
 
-    Empty where no gap is left that is twice as wide as `minimum_step`.
+    None where no gap is left that is twice as wide as `minimum_step`.
     """
-    found: list[Geometry] = []
-    inside = [float(v) for v in visited if reading.start < v < reading.stop]
-    for _ in range(most):
-        marks = np.array([reading.start, *sorted(inside), reading.stop])
-        gaps = np.diff(marks)
-        widest = int(np.argmax(gaps))
-        if gaps[widest] < 2 * minimum_step:
-            break
-        middle = float(round(marks[widest] + gaps[widest] / 2, 3))
-        inside.append(middle)
-        found.append(Geometry(reading.theta_in, middle))
-    return found
+    marks = np.array([reading.start, *sorted(v for v in visited if reading.start < v < reading.stop), reading.stop])
+    gaps = np.diff(marks)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < 2 * minimum_step:
+        return None
+    return Geometry(reading.theta_in, float(round(marks[widest] + gaps[widest] / 2, 3)))

