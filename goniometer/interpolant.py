@@ -1,10 +1,11 @@
 """A measured BRDF between its points, with the uncertainty of reading it there.
 
 A Gaussian process over all incident angles at once (Rasmussen & Williams 2006, chapter 2): ln(offset + cos(theta_in) f)
-is a lobe (`goniometer.lobe`) plus a random function whose covariance is that of `goniometer.kernel`. All bands or
-wavelengths are reconstructed with the same weights, each with its own variance. How far the measurements support the
-process is told by the process itself: each point is predicted from all others, and where these predictions are worse
-than they claim, so will be those of directions that were not measured.
+is a lobe (`goniometer.lobe`) plus a random function whose covariance is that of `goniometer.kernel`. That the lobe's
+parameters may be off enters as explicit basis functions with a prior (section 2.7 there), so a lobe that was fitted to
+a few points does not pass for knowledge. All bands or wavelengths are reconstructed with the same weights, each with
+its own variance. How far the measurements support the process is told by the process itself: each point is predicted
+from all others, and where these predictions are worse than they claim, so will be those of other directions.
 """
 
 from dataclasses import dataclass, replace
@@ -38,6 +39,10 @@ class Shape:
         """ln(offset + cos f) of the lobes at directions [points], degrees."""
         return np.asarray(np.log(self.offset + self.lobe.cosine_brdf(theta_in, theta_out)))
 
+    def doubt(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+        """[points, parameters] change of `level` when one of the lobes' parameters is off by what it may be off."""
+        return self.lobe.doubt(theta_in, theta_out, self.offset)
+
     def read_noise(
         self, theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray
     ) -> FloatArray:
@@ -59,6 +64,8 @@ class Interpolant:
     shape: Shape
     at: Coordinates
     """[points]"""
+    doubt: FloatArray
+    """[points, parameters] what the lobes may be off."""
     noise: FloatArray
     """[points] standard uncertainty of ln(offset + cos f) that all bands are taken to have."""
     factor: FloatArray
@@ -81,10 +88,12 @@ class Prediction:
     """[points] standard uncertainty of the process, to be multiplied with the root of the bands' `spread`."""
     trust: FloatArray
     """[points] by how much predictions nearby were worse than claimed: the root mean square of their z-scores."""
-    cross: FloatArray
-    """[measured points, points] prior covariance."""
+    near: FloatArray
+    """[measured points, points] how alike they are: prior correlation of what the lobes leave over."""
+    doubt: FloatArray
+    """[points, parameters] what the lobes may be off."""
     solved: FloatArray
-    """[measured points, points] the inverse of the Cholesky factor times `cross`."""
+    """[measured points, points] the inverse of the Cholesky factor times the prior covariance."""
 
 
 def latent(values: FloatArray, offset: float) -> FloatArray:
@@ -116,7 +125,8 @@ def learn(
         shape = replace(shape, lobe=fit_lobe(theta_in, theta_out, mean, u, offset))
         u = shape.read_noise(theta_in, theta_out, values, noise)
     at = coordinates(theta_in, theta_out, shape.lobe)
-    return replace(shape, scales=fit_scales(at, mean - shape.level(theta_in, theta_out), u, start or Scales(), steps))
+    residual, doubt = mean - shape.level(theta_in, theta_out), shape.doubt(theta_in, theta_out)
+    return replace(shape, scales=fit_scales(at, residual, u, doubt, start or Scales(), steps))
 
 
 def condition(
@@ -127,38 +137,42 @@ def condition(
     at = coordinates(theta_in, theta_out, shape.lobe)
     u = shape.read_noise(theta_in, theta_out, values, noise)
     residual = latent(values, shape.offset) - shape.level(theta_in, theta_out)[:, None]
-    K = covariance(at, at, shape.scales)
+    doubt = shape.doubt(theta_in, theta_out)
+    K = covariance(at, at, shape.scales) + doubt @ doubt.T
     K[np.diag_indices_from(K)] += u**2 + JITTER * power
     factor = cholesky(K, lower=True, overwrite_a=True, check_finite=False)
     inverse, _ = lapack.dpotri(factor, lower=1)
     precision = np.diag(inverse).copy()
     half = solve_triangular(factor, residual, lower=True, check_finite=False)
     weights = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
-    # Maximum likelihood of a separable covariance of points and bands, less the freedom that the lobes took, with the
-    # trust of a few points in bands that go together.
+    # Maximum likelihood of a separable covariance of points and bands, with the trust of a few points in bands that
+    # go together. Lobes with many parameters follow the noise of few points; what is left must not look like precision.
     bands = residual.shape[1]
     together = 0.95 + 0.05 * np.eye(bands)
-    free = max(len(residual) - shape.lobe.parameters, 1)
+    free = max(len(residual) - doubt.shape[1], 1)
     spread = (half.T @ half + _BELIEF * together) / (free + _BELIEF)
+    spread = spread / min(float(np.mean(np.diag(spread))), 1.0)
     scores = np.mean(weights**2 / np.diag(spread), axis=1) / precision
-    return Interpolant(shape, at, u, factor, weights, scores, spread)
+    return Interpolant(shape, at, doubt, u, factor, weights, scores, spread)
 
 
 def predict(process: Interpolant, theta_in: FloatArray, theta_out: FloatArray) -> Prediction:
     """What the process says of directions [points], degrees."""
     shape = process.shape
     at = coordinates(theta_in, theta_out, shape.lobe)
-    cross = covariance(process.at, at, shape.scales)
+    doubt = shape.doubt(theta_in, theta_out)
+    smooth = covariance(process.at, at, shape.scales)
+    cross = smooth + process.doubt @ doubt.T
     solved = solve_triangular(process.factor, cross, lower=True, check_finite=False)
-    left = variance(at, shape.scales) - np.einsum("ij,ij->j", solved, solved)
-    level = shape.level(theta_in, theta_out)
-    near = cross / shape.scales.amplitude**2
+    left = variance(at, shape.scales) + np.sum(doubt**2, axis=1) - np.einsum("ij,ij->j", solved, solved)
+    near = smooth / shape.scales.amplitude**2
     trust = (_BELIEF + process.scores @ near) / (_BELIEF + near.sum(axis=0))
     return Prediction(
-        level[:, None] + cross.T @ process.weights,
+        shape.level(theta_in, theta_out)[:, None] + cross.T @ process.weights,
         np.sqrt(np.maximum(left, 0.0)),
         np.sqrt(trust),
-        cross,
+        near,
+        doubt,
         solved,
     )
 

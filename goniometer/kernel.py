@@ -113,15 +113,20 @@ def variance(a: Coordinates, scales: Scales) -> FloatArray:
     return np.asarray(scales.amplitude**2 * (1 - scales.symmetry + scales.symmetry * mirrored))
 
 
-def fit_scales(at: Coordinates, residual: FloatArray, noise: FloatArray, start: Scales, steps: int = 12) -> Scales:
+def fit_scales(
+    at: Coordinates, residual: FloatArray, noise: FloatArray, doubt: FloatArray, start: Scales, steps: int = 12
+) -> Scales:
     """The most probable scales given what the lobe leaves over, [points], and its standard uncertainty.
+
+    `doubt` [points, parameters] is what the lobe's own parameters may be off, so that a fit to a few points does not
+    pass for knowledge.
 
     Maximum a posteriori with log-normal priors, within bounds, by L-BFGS-B with the gradient of Rasmussen & Williams
     2006, Eq. 5.9.
     """
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        value, gradient = _negative_log_likelihood(at, residual, noise, _scales(x))
+        value, gradient = _negative_log_likelihood(at, residual, noise, doubt, _scales(x))
         away = (x - _PRIOR) / _SPREAD
         return value + 0.5 * float(away @ away), gradient + away / _SPREAD
 
@@ -143,7 +148,7 @@ def _scales(x: FloatArray) -> Scales:
 
 
 def _negative_log_likelihood(
-    at: Coordinates, residual: FloatArray, noise: FloatArray, scales: Scales
+    at: Coordinates, residual: FloatArray, noise: FloatArray, doubt: FloatArray, scales: Scales
 ) -> tuple[float, FloatArray]:
     """And its derivative by the free parameters (the fifth is the logit of the symmetry)."""
     log_a, log_b = at.logarithmic[:, None] / scales.warp, at.logarithmic[None, :] / scales.warp
@@ -154,7 +159,7 @@ def _negative_log_likelihood(
     part, power = scales.symmetry, scales.amplitude**2
     direct, mirrored = across * along, (across + across_m) * (along + along_m)
     K = power * ((1 - part) * direct + part * mirrored)
-    noisy = K.copy()
+    noisy = K + doubt @ doubt.T
     noisy[np.diag_indices_from(noisy)] += noise**2 + JITTER * power
     factor = cho_factor(noisy, lower=True, overwrite_a=True)[0]
     inverse, _ = lapack.dpotri(factor, lower=1)

@@ -37,6 +37,13 @@ _NEAR = 3.0
 _WORTH = 10.0
 """By how much another bump must reduce half the sum of squared, normalised residuals."""
 
+_DOUBT = np.array([1.0, 0.3, 0.7, 1.0, 0.3])
+"""How far the logarithms of height and roughness, the exponent, the logarithm of the constant, and the tilt in degrees
+may be from the fit: wide enough that the points decide, narrow enough that a derivative describes it."""
+
+_DOUBT_OF_BUMP = np.array([0.7, 0.3, 0.3, 0.5])
+"""The same of a bump's height, centre (in its widths), width and exponent."""
+
 _LOWEST = np.array([-25.0, np.log(0.002), 1.2, -25.0, -_LARGEST_TILT])
 _HIGHEST = np.array([25.0, np.log(1.5), 6.0, 5.0, _LARGEST_TILT])
 _LOWEST_BUMP = np.array([-25.0, -85.0, np.log(NARROWEST), np.log(1.5)])
@@ -83,17 +90,27 @@ class Lobe:
         """Half vector angle from the peak of D to its half, degrees."""
         return float(np.degrees(np.arctan(self.alpha * np.sqrt(2 ** (1 / self.gamma) - 1))))
 
-    @property
-    def parameters(self) -> int:
-        """How many numbers were fitted."""
-        return 5 + 4 * len(self.bumps)
-
     def cosine_brdf(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
         """cos(theta_in) f, any one shape, of signed in-plane angles in degrees."""
+        return _cosine_brdf(self._parameters(), theta_in, theta_out)
+
+    def doubt(self, theta_in: FloatArray, theta_out: FloatArray, offset: float) -> FloatArray:
+        """[points, parameters] change of ln(offset + cos f) when one parameter is off by what it may be off."""
+        parameters = self._parameters()
+        steps = np.concatenate([_DOUBT, *[_DOUBT_OF_BUMP * [1, bump.width, 1, 1] for bump in self.bumps]])
+        level = offset + _cosine_brdf(parameters, theta_in, theta_out)
+        changes = []
+        for i, step in enumerate(steps):
+            moved = parameters.copy()
+            moved[i] += 0.01 * step
+            changes.append((_cosine_brdf(moved, theta_in, theta_out) / level + offset / level - 1) / 0.01)
+        return np.stack(changes, axis=1)
+
+    def _parameters(self) -> FloatArray:
         parameters = [self.log_height, np.log(self.alpha), self.gamma, self.log_floor, self.tilt]
         for bump in self.bumps:
             parameters += [bump.log_height, bump.centre, np.log(bump.width), np.log(bump.exponent)]
-        return _cosine_brdf(np.array(parameters), theta_in, theta_out)
+        return np.array(parameters)
 
 
 def _cosine_brdf(parameters: FloatArray, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:

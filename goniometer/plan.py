@@ -198,7 +198,7 @@ def _batch(
     batch: list[Geometry] = []
     if not (accurate and _confirmed(spec, measured)):
         most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
-        batch = (hidden + _peaks(spec, known, measured, pending))[: 2 * most]
+        batch = (hidden + _peaks(spec, known, measured, [*pending, *hidden]))[: 2 * most]
         most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
         batch += _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
     if batch or pending:
@@ -325,7 +325,9 @@ def _chosen(
         errors = expected_errors(known.process, where, predicted)
     allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
     later = range(count, count + len(pending))
-    picked = choose(known.process, where, predicted, errors, known.goals, allowed, most, least, later)
+    picked = choose(
+        known.process, where, predicted, errors, known.goals, allowed, spec.minimum_step, most, least, later
+    )
     return [Geometry(float(where.theta_in[i]), float(where.theta_out[i])) for i in picked]
 
 

@@ -82,7 +82,7 @@ def expected_errors(process: Interpolant, where: Candidates, predicted: Predicti
     slopes = colour_slopes(value) * level[:, None, :]  # dE00 along three axes by ln(cos f) of each band
     axes = np.einsum("pab,bc,pdc->pad", slopes, process.spread, slopes)
     square = np.trace(axes, axis1=1, axis2=2)
-    near = predicted.cross / process.shape.scales.amplitude**2 + 1e-9
+    near = predicted.near + 1e-9
     noise = np.exp((np.log(process.noise) @ near) / near.sum(axis=0))
     per_sigma = np.sqrt(np.stack([logarithmic @ spread / spread.size, square], axis=1))
     own = np.stack([logarithmic.mean(axis=1), np.einsum("pab,pab->p", slopes, slopes)], axis=1)
@@ -105,6 +105,9 @@ def total(where: Candidates, errors: Errors, sigma: FloatArray) -> FloatArray:
     return np.array([rms[0], mean])
 
 
+_SAME = 1e-6
+"""Degrees that rounding may take from a distance."""
+
 _NEGLIGIBLE = 1e-3
 """Part of the expected square of the errors that may come from candidates that are not looked at."""
 
@@ -123,14 +126,16 @@ def choose(
     errors: Errors,
     goals: FloatArray,
     allowed: BoolArray,
+    apart: float,
     most: int,
     least: int = 1,
     pending: Sequence[int] = (),
 ) -> list[int]:
     """Up to `most` candidates, best first, until both errors are expected to be below `goals` [2] and at least `least`.
 
-    `allowed` [candidates] says which may be measured. A direction that is known as well as a measurement would tell
-    it is not chosen: empty where there is no other. `pending` are candidates that will be measured anyway.
+    `allowed` [candidates] says which may be measured; they stay `apart` degrees from each other. A direction that is
+    known as well as a measurement would tell it is not chosen: empty where there is no other. `pending` are candidates
+    that will be measured anyway.
     """
     trust2 = predicted.trust**2
     open_goals = total(where, errors, errors.sigma) > goals
@@ -140,7 +145,8 @@ def choose(
     kept = np.union1d(_weighty(weight * predicted.sigma**2), np.asarray(pending, dtype=int))
     at = coordinates(where.theta_in[kept], where.theta_out[kept], process.shape.lobe)
     solved = predicted.solved[:, kept]
-    C = covariance(at, at, process.shape.scales) - solved.T @ solved
+    doubt = predicted.doubt[kept]
+    C = covariance(at, at, process.shape.scales) + doubt @ doubt.T - solved.T @ solved
     weight, trust2, noise2, free = weight[kept], trust2[kept], errors.noise[kept] ** 2, allowed[kept]
     for known in np.searchsorted(kept, pending):
         C -= np.outer(C[known], C[known]) / (C[known, known] + noise2[known])
@@ -154,6 +160,8 @@ def choose(
         gain = np.where(useful, (C**2 @ weight) / (left + noise2), -1.0)
         best = int(np.argmax(gain))
         chosen.append(int(kept[best]))
+        same = where.theta_in[kept] == where.theta_in[kept[best]]
+        free = free & ~(same & (np.abs(where.theta_out[kept] - where.theta_out[kept[best]]) < apart - _SAME))
         C -= np.outer(C[best], C[best]) / (left[best] + noise2[best])
         sigma[kept] = np.sqrt(np.maximum(np.diag(C), 0.0) * trust2)
         if len(chosen) >= least and np.all(total(where, errors, sigma) <= 0.9 * goals):
