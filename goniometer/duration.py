@@ -14,7 +14,7 @@ from goniometer.route import Motion, travel
 DEAD_TIME = 0.5
 """Seconds at each point for commands, shutter and read-out, before any point has told."""
 
-EARLIER = (9.0, 20.0)
+EARLIER = (8.0, 20.0)
 """Points an incident angle that dynamic resolution needed on simulated materials, from a smooth sheet to a structured
 lobe (`tests/benchmarks/sampling.py`); what is expected of a sample before it is known."""
 
