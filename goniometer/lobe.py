@@ -37,15 +37,17 @@ _NEAR = 3.0
 _WORTH = 10.0
 """By how much another bump must reduce half the sum of squared, normalised residuals."""
 
-_DOUBT = np.array([1.0, 0.3, 0.7, 1.0, 0.3])
-"""How far the logarithms of height and roughness, the exponent, the logarithm of the constant, and the tilt in degrees
-may be from the fit: wide enough that the points decide, narrow enough that a derivative describes it."""
+_DOUBT = np.array([1.0, 0.3, 0.7, 1.0, 0.3, 1.0, 0.3])
+"""How far the logarithms of height and roughness, the exponent, the logarithm of the constant, the tilt in degrees, and
+the logarithms of height and width of the retro-reflection may be from the fit: wide enough that the points decide,
+narrow enough that a derivative describes it."""
 
 _DOUBT_OF_BUMP = np.array([0.7, 0.3, 0.3, 0.5])
 """The same of a bump's height, centre (in its widths), width and exponent."""
 
-_LOWEST = np.array([-25.0, np.log(0.002), 1.2, -25.0, -_LARGEST_TILT])
-_HIGHEST = np.array([25.0, np.log(1.5), 6.0, 5.0, _LARGEST_TILT])
+_LOWEST = np.array([-25.0, np.log(0.002), 1.2, -25.0, -_LARGEST_TILT, -25.0, np.log(2.0)])
+_HIGHEST = np.array([25.0, np.log(1.5), 6.0, 5.0, _LARGEST_TILT, 5.0, np.log(15.0)])
+_MAIN = _LOWEST.size
 _LOWEST_BUMP = np.array([-25.0, -85.0, np.log(NARROWEST), np.log(1.5)])
 _HIGHEST_BUMP = np.array([25.0, 85.0, np.log(30.0), np.log(30.0)])
 
@@ -66,7 +68,9 @@ class Bump:
 
 @dataclass(frozen=True)
 class Lobe:
-    """A lobe around the mirror direction, a constant and perhaps bumps: f = D G / (4 cos_i cos_o) + exp(log_floor).
+    """A lobe around the mirror direction, a constant, a retro-reflection, and perhaps bumps.
+
+    f = D G / (4 cos_i cos_o) + exp(log_floor) + exp(log_retro) (1 + (2^(1/4) - 1) theta_d^2 / retro_width^2)^-4.
 
     D = exp(log_height) (1 + tan^2(theta_h) / alpha^2)^-gamma / cos^4(theta_h) + bumps, which is GGX for gamma = 2
     (Walter et al. 2007, Eq. 33; with a free exponent: Ribardiere et al. 2017). G is Smith's masking of GGX
@@ -84,6 +88,10 @@ class Lobe:
     tilt: float
     """Angle of the half vector at which D has its peak, degrees: the surface normal as the stages see it."""
     bumps: tuple[Bump, ...] = ()
+    log_retro: float = -25.0
+    """Logarithm of the peak of the retro-reflection, 1/sr."""
+    retro_width: float = 8.0
+    """Its angle theta_d = (theta_out + theta_in) / 2 from its peak to its half, degrees."""
 
     @property
     def half_width(self) -> float:
@@ -108,23 +116,26 @@ class Lobe:
 
     def _parameters(self) -> FloatArray:
         parameters = [self.log_height, np.log(self.alpha), self.gamma, self.log_floor, self.tilt]
+        parameters += [self.log_retro, np.log(self.retro_width)]
         for bump in self.bumps:
             parameters += [bump.log_height, bump.centre, np.log(bump.width), np.log(bump.exponent)]
         return np.array(parameters)
 
 
 def _cosine_brdf(parameters: FloatArray, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
-    log_height, log_alpha, gamma, log_floor, tilt = parameters[:5]
+    log_height, log_alpha, gamma, log_floor, tilt, log_retro, log_retro_width = parameters[:_MAIN]
     alpha2 = np.exp(2 * log_alpha)
     cos_in = np.cos(np.radians(theta_in))
     half = (theta_out - theta_in) / 2 - tilt
     radians = np.radians(half)
     D = np.exp(log_height) * (1 + np.tan(radians) ** 2 / alpha2) ** -gamma / np.cos(radians) ** 4
-    for height, centre, log_width, log_exponent in parameters[5:].reshape(-1, 4):
+    for height, centre, log_width, log_exponent in parameters[_MAIN:].reshape(-1, 4):
         exponent = np.exp(log_exponent)
         away = ((half - centre) / np.exp(log_width)) ** 2
         D = D + np.exp(height) * (1 + (2 ** (1 / exponent) - 1) * away) ** -exponent
-    return np.asarray(D * _per_height(theta_in, theta_out, alpha2) + np.exp(log_floor) * cos_in)
+    away = ((theta_out + theta_in) / 2 / np.exp(log_retro_width)) ** 2
+    diffuse = np.exp(log_floor) + np.exp(log_retro) * (1 + (2**0.25 - 1) * away) ** -4.0
+    return np.asarray(D * _per_height(theta_in, theta_out, alpha2) + diffuse * cos_in)
 
 
 def _per_height(theta_in: FloatArray, theta_out: FloatArray, alpha2: float) -> FloatArray:
@@ -169,7 +180,9 @@ def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, no
     near = np.argmin(np.abs(theta_out - theta_in))
     height = latent[near] + np.log(4 * np.cos(np.radians(theta_out[near])))
     floor = float(np.quantile(latent, 0.2))
-    best, _ = fitted([np.array([height, np.log(alpha), 2.0, floor, 0.0]) for alpha in _STARTS], _SCATTER)
+    best, _ = fitted(
+        [np.array([height, np.log(alpha), 2.0, floor, 0.0, floor - 1.5, np.log(6.0)]) for alpha in _STARTS], _SCATTER
+    )
     for _ in range(_MOST_BUMPS):
         above = latent - np.log(offset + _cosine_brdf(best, theta_in, theta_out))
         scatter = float(np.clip(1.48 * np.median(np.abs(above)), _LEAST_SCATTER, _SCATTER))
@@ -188,6 +201,15 @@ def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, no
         best = better
     bumps = tuple(
         Bump(float(height), float(centre), float(np.exp(width)), float(np.exp(exponent)))
-        for height, centre, width, exponent in best[5:].reshape(-1, 4)
+        for height, centre, width, exponent in best[_MAIN:].reshape(-1, 4)
     )
-    return Lobe(float(best[0]), float(np.exp(best[1])), float(best[2]), float(best[3]), float(best[4]), bumps)
+    return Lobe(
+        log_height=float(best[0]),
+        alpha=float(np.exp(best[1])),
+        gamma=float(best[2]),
+        log_floor=float(best[3]),
+        tilt=float(best[4]),
+        bumps=bumps,
+        log_retro=float(best[5]),
+        retro_width=float(np.exp(best[6])),
+    )

@@ -33,7 +33,7 @@ from goniometer.uncertainty import ErrorSource
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])
 THETA_IN = (0.0, 20.0, 40.0, 60.0)
-LOBE = Lobe(1.0, 0.1, 2.0, -3.0, 0.2, (Bump(-2.0, 12.0, 2.0, 3.0),))
+LOBE = Lobe(1.0, 0.1, 2.0, -3.0, 0.2, (Bump(-2.0, 12.0, 2.0, 3.0),), -2.5, 7.0)
 SCALES = Scales(1.3, 50.0, 35.0, 0.4, 0.7)
 
 
@@ -101,6 +101,8 @@ def textbook_doubt(theta_in, theta_out):
         change(main("gamma"), 0.7),
         change(main("log_floor"), 1.0),
         change(main("tilt"), 0.3),
+        change(main("log_retro"), 1.0),
+        change(main("retro_width", relative=True), 0.3),
         change(bump("log_height"), 0.7),
         change(bump("centre"), 0.3 * LOBE.bumps[0].width),
         change(bump("width", relative=True), 0.3),
@@ -169,6 +171,17 @@ def test_roughness_and_tilt_are_found_from_few_points_of_all_incident_angles(alp
     lobe = fit_lobe(theta_in, theta_out, np.log(1e-4 + values), np.full(values.size, 1e-3), 1e-4)
     assert lobe.alpha == pytest.approx(alpha, rel=0.15)
     assert lobe.tilt == pytest.approx(-0.3, abs=0.05)
+
+
+def test_a_retro_reflection_is_found_beside_the_lobe():
+    theta_in = np.repeat(THETA_IN, 10)
+    theta_out = spread_out()
+    away = ((theta_in + theta_out) / 2 / 6.0) ** 2
+    retro = 0.3 * (1 + (2**0.25 - 1) * away) ** -4 * np.cos(np.radians(theta_in))
+    values = metal(theta_in, theta_out).mean(axis=1) + retro
+    lobe = fit_lobe(theta_in, theta_out, np.log(1e-4 + values), np.full(values.size, 1e-3), 1e-4)
+    assert np.exp(lobe.log_retro) == pytest.approx(0.3, rel=0.1)
+    assert lobe.retro_width == pytest.approx(6.0, rel=0.1)
 
 
 def test_values_between_points_are_right_within_their_uncertainty():
