@@ -210,11 +210,18 @@ def _batch(
 
 
 def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
-    """Whether the latest points were where those before them said they would be: one more for each incident angle.
+    """Whether the latest points were where those before them said they would be, twice running.
 
-    What the coarse pass says of itself is not believed: a lobe can go through a few points and be wrong between them.
+    As many points each time as there are incident angles. What the coarse pass says of itself is not believed: a lobe
+    can go through a few points and be wrong between them.
     """
-    before, latest = measured[: -len(spec.theta_in)], measured[-len(spec.theta_in) :]
+    each = len(spec.theta_in)
+    return _foretold(spec, measured, each) and _foretold(spec, measured[:-each], each)
+
+
+def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
+    """Whether the last `count` points lie where the others predict them."""
+    before, latest = measured[:-count], measured[-count:]
     latest = [p for p in latest if np.all(np.isfinite(p.values))]
     known = _known(spec, before)
     if len(before) < len(coarse(spec)) or known is None or not latest:

@@ -57,7 +57,7 @@ def test_without_a_lobe_the_pre_scan_asks_for_nothing():
     readings = swept(brdf, random)
     measured = sampled(brdf, [], random)
     assert unexplained(interpolation(SPEC, measured), readings, [p.geometry for p in measured]) == []
-    assert len(sampled(brdf, readings, random)) <= len(measured) + 2
+    assert len(sampled(brdf, readings, random)) <= len(measured) + 4
     assert reached(SPEC, measured, readings).stopped is not None
 
 
