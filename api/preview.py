@@ -1,12 +1,14 @@
 """What a campaign will do, told before anything moves."""
 
-from dataclasses import dataclass
-from itertools import pairwise
+import math
+from dataclasses import dataclass, replace
 
 from api.display import duration
-from goniometer.campaign import Campaign
+from goniometer.campaign import Campaign, Integration
+from goniometer.duration import EARLIER, Expected, expected
 from goniometer.geometry import Geometry
-from goniometer.plan import blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.route import Motion, travel
 
 
 @dataclass(frozen=True)
@@ -15,14 +17,15 @@ class Leg:
 
     name: str
     points: int
-    """Directions that are certain: all of a reference scan, the coarse sweep of a sample."""
+    """Directions that are certain: all of a reference scan, the coarse pass of a sample."""
+    most_points: int
+    """Directions that there may be in the end."""
     sample_travel: float
-    """Degrees that the sample stage turns between them."""
+    """Degrees that the sample stage turns between those that are certain."""
     detector_travel: float
     """Degrees that the detector stage turns between them."""
-    longest_exposure: float
-    """Seconds of integration if every point needed as much as the campaign allows; darks, stray light and looks at the
-    lamp not counted."""
+    time: Expected
+    """Until the scan is complete, seconds."""
 
 
 @dataclass(frozen=True)
@@ -36,23 +39,29 @@ class Preview:
     minimum_step: float
     """Refinement brings no two directions closer than this, degrees."""
     tolerance: float
-    """Largest wanted interpolation error of ln(1 + cos(theta_in) f)."""
+    """Wanted root mean square error of reading ln(1 + cos(theta_in) f) between the points."""
+    colour_tolerance: float | None
+    """Wanted mean dE00 of the same."""
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
     besides: tuple[str, ...]
-    """What is measured besides, as sentences."""
+    """What is measured besides, as sentences; its time is not in that of the legs."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
         told = [f"Campaign {self.campaign}"]
         for leg in self.legs:
+            points = f"{leg.points}" if leg.points == leg.most_points else f"{leg.points} to about {leg.most_points}"
             told.append(
-                f"  {leg.name}: {leg.points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
-                f"{leg.detector_travel:.0f}° of travel, at most {duration(leg.longest_exposure)} of integration"
+                f"  {leg.name}: {points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
+                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, {duration(leg.time.low)} to "
+                f"{duration(leg.time.high)}, about {duration(leg.time.seconds)}"
             )
+        colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
         told.append(
-            f"Samples are then refined until ln(1 + cos(theta_in) f) is known to {self.tolerance:g} or directions lie "
-            f"{self.minimum_step:g}° apart; a uniform 1° grid has {self.uniform_1_degree_points} points a sample."
+            f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
+            f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} points "
+            f"a sample."
         )
         told += self.besides
         told.append("Left out because the detector would stand in the beam:")
@@ -60,26 +69,41 @@ class Preview:
         return told
 
 
-def preview(campaign: Campaign) -> Preview:
-    """Preview of `campaign`; touches no device."""
+def preview(campaign: Campaign, motion: Motion | None = None) -> Preview:
+    """Preview of `campaign` on a bench that moves like `motion`; touches no device."""
     spec = plan_spec(campaign)
-    wanted = campaign.integration
-    longest = wanted.maximum * wanted.exposures
-    a_point = longest * wanted.scans if wanted.signal_to_noise is None else wanted.time_limit
-    reference = _leg(
-        "reference panel", reference_points(spec, campaign.reference.step), longest * campaign.reference.scans
-    )
-    coarse = next_points(spec, [])
-    samples = [_leg(f"{s.name}, coarse sweep", coarse, a_point) for s in campaign.samples]
+    if motion is not None:
+        spec = replace(spec, motion=motion)
+    panel = reference_points(spec, campaign.reference.step)
+    reference = _leg("reference panel", panel, len(panel), spec, campaign.integration, campaign.reference.scans)
+    first = next_points(spec, [])
+    most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
+    most = most if spec.most_points is None else min(most, spec.most_points)
+    samples = [
+        _leg(sample.name, first, most, spec, campaign.integration, campaign.integration.scans)
+        for sample in campaign.samples
+    ]
     return Preview(
         campaign.name,
         (reference, *samples),
         blocked_ranges(spec),
         spec.minimum_step,
         spec.tolerance,
+        spec.colour_tolerance,
         uniform_grid_size(spec),
         _besides(campaign),
     )
+
+
+def _leg(name: str, path: list[Geometry], most: int, spec: PlanSpec, integration: Integration, scans: int) -> Leg:
+    """A scan of `path` and perhaps more points, which then take as long as those of `path` do."""
+    way = travel(path, spec.motion)
+    alone = expected(path, spec.motion, integration, scans)
+    longest = most / len(path)
+    time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
+    if spec.most_seconds is not None:
+        time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
+    return Leg(name, len(path), most, way.sample, way.detector, time)
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:
@@ -94,13 +118,3 @@ def _besides(campaign: Campaign) -> tuple[str, ...]:
         points = campaign.homogeneity.points
         told.append(f"After each sample somebody is asked to turn it, and {points} directions are measured again.")
     return tuple(told)
-
-
-def _leg(name: str, points: list[Geometry], seconds_a_point: float) -> Leg:
-    return Leg(
-        name,
-        len(points),
-        sum(abs(b.sample_angle - a.sample_angle) for a, b in pairwise(points)),
-        sum(abs(b.detector_angle - a.detector_angle) for a, b in pairwise(points)),
-        len(points) * seconds_a_point,
-    )

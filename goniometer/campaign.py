@@ -11,7 +11,7 @@ that runs:
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Self
+from typing import Annotated, Any, Literal, NoReturn, Self
 
 import yaml
 from pydantic import (
@@ -108,28 +108,31 @@ class OutgoingRange(_Model):
 
 
 class Resolution(_Model):
-    """How finely the reflected directions are sampled."""
+    """How finely the reflected directions are sampled, and when to stop: whatever comes first."""
 
+    mode: Literal["dynamic", "uniform"] = Field(
+        default="dynamic", description="Whether the plan finds the directions, or takes an even grid of `step`."
+    )
     tolerance: float = Field(
-        default=0.02,
+        default=0.005,
         gt=0,
         allow_inf_nan=False,
-        description="Largest wanted interpolation error of ln(1 + cos(theta_in) f).",
+        description="Wanted root mean square error of reading ln(1 + cos(theta_in) f) between the directions.",
     )
-    coarse_step: Angle = Field(
-        default=10.0, ge=SMALLEST_STEP, le=45, description="Distance of directions in the first pass, degrees."
+    colour_tolerance: float | None = Field(
+        default=0.2,
+        gt=0,
+        allow_inf_nan=False,
+        description="Wanted mean dE00 of reading a colour between them; none: colour does not matter.",
     )
     minimum_step: Angle = Field(
-        default=0.5, ge=SMALLEST_STEP, description="Directions never lie closer than this, degrees."
+        default=0.2, ge=SMALLEST_STEP, le=45, description="Dynamic directions never lie closer than this, degrees."
     )
-
-    @model_validator(mode="after")
-    def _refines(self) -> Self:
-        if self.minimum_step > self.coarse_step:
-            raise ValueError(
-                f"minimum_step ({self.minimum_step:g} deg) must not exceed coarse_step ({self.coarse_step:g} deg)"
-            )
-        return self
+    step: Angle = Field(
+        default=1.0, ge=SMALLEST_STEP, le=45, description="Distance of directions of the even grid, degrees."
+    )
+    points: int | None = Field(default=None, ge=1, description="Most directions of a sample; none: no limit.")
+    time: Duration | None = Field(default=None, gt=0, description="Most time for a sample, seconds; none: no limit.")
 
 
 class Integration(_Model):

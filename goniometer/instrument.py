@@ -20,6 +20,7 @@ from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, Sta
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
+from goniometer.route import Motion, StageMotion
 from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, safe_path
 
 ARRIVAL = 0.1
@@ -99,6 +100,19 @@ class Instrument:
     def limits(self) -> Limits:
         """Where the sample stage and the detector stage may stand, degrees."""
         return self._sample_stage.limits, self._detector_stage.limits
+
+    @property
+    def motion(self) -> Motion:
+        """How the stages move, as far as it is known once they are open."""
+        sample, detector = (
+            StageMotion(stage.velocity, stage.acceleration) for stage in (self._sample_stage, self._detector_stage)
+        )
+        return Motion(sample, detector)
+
+    @property
+    def u_angle(self) -> float:
+        """Standard uncertainty of one stage position, degrees."""
+        return self._data.u_angle
 
     @property
     def integration_limits(self) -> tuple[float, float]:

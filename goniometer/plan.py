@@ -1,52 +1,86 @@
 """Where to measure next: a pure function of what was asked for and what has been measured.
 
-For each incident angle a coarse sweep comes first: a grid in theta_out, the mirror direction with close
-neighbours so that a narrow lobe is noticed, the edges of the blocked sector and both ends of the range.
-Then an interval is halved wherever the interpolation is not yet known to be good at its middle. Everything
-happens in y = ln(1 + cos(theta_in) f), the scale on which the fits compare a model with a measurement (Loew
-et al. 2012). Nothing moves and nothing is remembered here, so a preview, a dry run and a resume after a
-power cut are the same call.
+In mode "dynamic" a coarse pass comes first: at each incident angle the mirror direction, the edges of the blocked
+sector, both ends of the range, one direction far from these, and two beside the mirror direction whose distances
+differ from one incident angle to the next, because all of them together describe one sample. Then a process that
+interpolates between all points (`goniometer.interpolant`) says how large the error of reading the BRDF between them
+is, and the directions that reduce it most are added, a batch at a time, until it is as small as asked for or a budget
+is spent. Nothing moves and nothing is remembered here, so a preview, a dry run and a resume after a power cut are the
+same call.
 """
 
-from dataclasses import dataclass
-from itertools import pairwise
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
-from scipy.interpolate import Akima1DInterpolator, PchipInterpolator
 
-from drivers.arrays import FloatArray
-from goniometer.campaign import Campaign
-from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE, Geometry
+from drivers.arrays import BoolArray, FloatArray
+from goniometer.geometry import Geometry
+from goniometer.interpolant import Interpolant, Prediction, Shape, condition, latent, learn, predict
+from goniometer.kernel import Scales
+from goniometer.plan_spec import (
+    SAME,
+    PlanSpec,
+    blocked_ranges,
+    coarse,
+    monitor_direction,
+    plan_spec,
+    reference_points,
+    segments,
+    uniform,
+    uniform_grid_size,
+)
+from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, total
+from goniometer.route import ordered
+from goniometer.sweep import Swept, searched, unexplained
 
-MIRROR_OFFSETS = (-3.0, -1.0, 0.0, 1.0, 3.0)
-"""Degrees from the mirror direction that the coarse sweep always visits, if the range allows."""
+__all__ = [
+    "Measured",
+    "PlanSpec",
+    "Reached",
+    "blocked_ranges",
+    "expected_total",
+    "interpolation",
+    "monitor_direction",
+    "next_points",
+    "plan_spec",
+    "reached",
+    "reference_points",
+    "segments",
+    "spot_points",
+    "uniform_grid_size",
+]
 
-MONITOR_INCIDENCE = 30.0
-"""Degrees; the lamp is monitored at the incident angle nearest to it, in the mirror direction, where light is."""
+BATCH = 2
+"""Directions of a batch for each incident angle."""
+
+SMALLEST_BATCH = 4
+"""Directions that are measured between two looks at the errors, at the least."""
+
+GROWTH = 1.25
+"""What is known of the sample as a whole is learnt anew when there are so many times more points."""
+
+SURPRISE = 3.0
+"""Mean square of normalised residuals, which ought to be 1, from which on points contradict what was learnt."""
+
+CONFIRMED = 2.0
+"""The same of predictions that were made before their points were measured, up to which they confirm the process."""
+
+MOST_LEARNT = 400
+"""Points from which a sample's lobe and scales are learnt; of more points every second, third, ... is used."""
+
+FEWEST = 5
+"""Points that a process needs."""
 
 GOOD_SIGNAL = 20.0
 """Signal over noise of a direction in which two places of a sample are compared."""
 
-_SAME = 1e-6
-"""Degrees below which two planned angles are the same."""
-
-
-@dataclass(frozen=True)
-class PlanSpec:
-    """What is to be sampled; angles in degrees."""
-
-    theta_in: tuple[float, ...]
-    """Incident angles, ascending."""
-    lowest: float = -LARGEST_ANGLE
-    """Lowest theta_out."""
-    highest: float = LARGEST_ANGLE
-    """Highest theta_out."""
-    tolerance: float = 0.02
-    """Largest wanted interpolation error of ln(1 + cos(theta_in) f)."""
-    coarse_step: float = 10.0
-    """Distance of the directions of the coarse sweep."""
-    minimum_step: float = 0.5
-    """Refinement brings no two directions closer than this."""
+Stop = Literal["accuracy", "noise", "step", "grid", "points", "seconds"]
+"""Why no more points are wanted: errors as small as asked for; as small as the noise of a point supports; directions as
+close as allowed; the uniform grid is complete; the budget of points or of time is spent."""
 
 
 @dataclass(frozen=True)
@@ -59,89 +93,61 @@ class Measured:
     """[bands] cos(theta_in) f averaged over a few wavelength bands; NaN where the point failed."""
     noise: FloatArray
     """[bands] standard uncertainty of `values`."""
+    seconds: float = 0.0
+    """Time that it took at the bench, with its move."""
 
 
-def plan_spec(campaign: Campaign) -> PlanSpec:
-    """What a campaign wants sampled on each of its samples."""
-    return PlanSpec(
-        campaign.theta_in,
-        campaign.outgoing.start,
-        campaign.outgoing.stop,
-        campaign.resolution.tolerance,
-        campaign.resolution.coarse_step,
-        campaign.resolution.minimum_step,
-    )
+@dataclass(frozen=True)
+class Reached:
+    """How far a sampling has come. Errors are NaN while too little is measured to tell."""
+
+    points: int
+    seconds: float
+    """At the bench."""
+    error: float
+    """Expected root mean square error of ln(1 + cos(theta_in) f) over all directions."""
+    largest_error: float
+    """Three times the largest standard uncertainty of it at any direction."""
+    colour_error: float
+    """Expected mean dE00 over all directions."""
+    noise_error: float
+    """What the noise of a measured point makes of `error`: less cannot be asked for."""
+    stopped: Stop | None
+    """Why no more points are wanted; None while some are."""
 
 
-def blocked_ranges(spec: PlanSpec) -> dict[float, tuple[float, float]]:
-    """For each incident angle the open interval of theta_out in which the detector blocks the source, degrees."""
-    return {t: (-t - BLOCKED_HALF_WIDTH, -t + BLOCKED_HALF_WIDTH) for t in spec.theta_in}
-
-
-def segments(spec: PlanSpec, theta_in: float) -> list[tuple[float, float]]:
-    """The measurable ranges of theta_out at one incident angle, degrees, ascending; ends belong to them."""
-    low, high = -theta_in - BLOCKED_HALF_WIDTH, -theta_in + BLOCKED_HALF_WIDTH
-    # Rounding must not put an edge into the sector that it bounds.
-    low -= 1e-9 if Geometry(theta_in, low).blocked else 0.0
-    high += 1e-9 if Geometry(theta_in, high).blocked else 0.0
-    parts = [(spec.lowest, min(low, spec.highest)), (max(high, spec.lowest), spec.highest)]
-    return [(a, b) for a, b in parts if a <= b]
-
-
-def next_points(spec: PlanSpec, measured: list[Measured]) -> list[Geometry]:
+def next_points(
+    spec: PlanSpec, measured: Sequence[Measured], swept: Sequence[Swept] = (), pending: Sequence[Geometry] = ()
+) -> list[Geometry]:
     """The next batch of directions, in the order in which to visit them; empty when the sampling is done.
 
-    Blocked directions never appear. Give all of the batch back as measured before asking again: the same
-    measured points always give the same batch.
+    Blocked directions never appear. `measured` is in the order of measuring: the same points in the same order always
+    give the same batch. `swept` are the readings of a pre-scan, if there was one. `pending` are directions that were
+    planned before and not yet measured: with them the next batch can be planned while the stages still move.
     """
-    done = _by_incidence(spec, measured)
-    missing = {t: _without(_coarse(spec, t), [p.geometry.theta_out for p in done[t]]) for t in spec.theta_in}
-    if not any(missing.values()):
-        missing = {t: [0.5 * (a + b) for a, b, _ in _open_intervals(spec, t, done[t])] for t in spec.theta_in}
-    return _sweep(missing)
+    return _next(spec, list(measured), swept, pending)[0]
 
 
-def expected_total(spec: PlanSpec, measured: list[Measured]) -> int:
-    """How many points there will be in the end, judged from the intervals that are still open.
+def reached(spec: PlanSpec, measured: Sequence[Measured], swept: Sequence[Swept] = ()) -> Reached:
+    """How accurate the sampling is by now, and why it ended if it did: `next_points` is empty exactly then."""
+    return _next(spec, list(measured), swept, ())[1]
 
-    An interval whose error is e becomes good after about log2(e / tolerance) / 2 halvings, because the error
-    of the interpolation falls with the square of the distance. Where the coarse sweep is not complete, its
-    missing points are counted, and no refinement.
+
+def expected_total(spec: PlanSpec, measured: Sequence[Measured]) -> int:
+    """How many points there will be in the end.
+
+    As many as the process expects to need, which is learnt from the points that there are. Where the coarse pass is
+    not complete its missing points are counted, and no refinement.
     """
-    done = _by_incidence(spec, measured)
-    total = len(measured)
-    for t in spec.theta_in:
-        missing = _without(_coarse(spec, t), [p.geometry.theta_out for p in done[t]])
-        total += len(missing)
-        if missing:
-            continue
-        for a, b, excess in _open_intervals(spec, t, done[t]):
-            halvings = min(np.ceil(0.5 * np.log2(excess)), np.floor(np.log2((b - a) / spec.minimum_step) + _SAME))
-            total += int(2 ** max(halvings, 1)) - 1
-    return total
-
-
-def uniform_grid_size(spec: PlanSpec, step: float = 1.0) -> int:
-    """How many measurable directions a uniform grid of `step` degrees in theta_out has, for comparison."""
-    return len(_uniform(spec, step))
-
-
-def reference_points(spec: PlanSpec, step: float = 10.0) -> list[Geometry]:
-    """The directions of the reference scan: every `step` degrees from one end, and all edges; in visiting order.
-
-    A sample's point finds the instrument's response by interpolation between them. The default range avoids
-    theta_out = 0, where the azimuth of the reflected light turns over and the panel's nominal BRDF jumps.
-    """
-    count = int(np.floor((spec.highest - spec.lowest) / step + _SAME)) + 1
-    wanted = [float(spec.lowest + step * i) for i in range(count)]
-    return _sweep({t: _within(spec, t, wanted) for t in spec.theta_in})
-
-
-def monitor_direction(spec: PlanSpec) -> Geometry:
-    """Where the lamp is monitored: the measurable direction that is nearest to a mirror direction."""
-    theta_in = min(spec.theta_in, key=lambda t: abs(t - MONITOR_INCIDENCE))
-    nearest = [min(max(theta_in, low), high) for low, high in segments(spec, theta_in)]
-    return Geometry(theta_in, min(nearest, key=lambda a: abs(a - theta_in)))
+    if spec.mode == "uniform":
+        wanted = len(uniform(spec, spec.step))
+    else:
+        missing = _missing(spec, measured, ())
+        known = _known(spec, measured)
+        wanted = len(measured) + len(missing)
+        if known is not None and not missing:
+            wanted += len(_chosen(spec, known, measured, (), _LOOKAHEAD))
+    return min([wanted, *([spec.most_points] if spec.most_points is not None else [])])
 
 
 def spot_points(measured: list[Measured], count: int) -> list[Geometry]:
@@ -167,80 +173,248 @@ def spot_points(measured: list[Measured], count: int) -> list[Geometry]:
     return [Geometry(theta_in, a) for a in sorted(chosen)]
 
 
-def _uniform(spec: PlanSpec, step: float) -> list[Geometry]:
-    count = int(np.floor((spec.highest - spec.lowest) / step + _SAME)) + 1
-    angles = spec.lowest + step * np.arange(count)
-    grid = [Geometry(t, float(a)) for t in spec.theta_in for a in angles]
-    return [geometry for geometry in grid if not geometry.blocked]
+_LOOKAHEAD = 150
+"""Points up to which the length of a sampling is foreseen."""
 
 
-def _within(spec: PlanSpec, theta_in: float, wanted: list[float]) -> list[float]:
-    """Those of `wanted` that lie in the measurable segments, and the segments' ends; ascending."""
-    angles: list[float] = []
-    for low, high in segments(spec, theta_in):
-        inside = [a for a in sorted(wanted) if low < a < high]
-        angles += [low, *_without(inside, [low, high]), *([high] if high > low else [])]
-    return angles
+def interpolation(spec: PlanSpec, measured: Sequence[Measured]) -> Interpolant | None:
+    """The process by which the plan judges, conditioned on all points so far; None where they are too few."""
+    known = _known(spec, measured)
+    return None if known is None else known.process
 
 
-def _coarse(spec: PlanSpec, theta_in: float) -> list[float]:
-    """Directions of the coarse sweep, ascending; grid points next to a mirror neighbour give way to it."""
-    near = [theta_in + offset for offset in MIRROR_OFFSETS]
-    step = spec.coarse_step
-    grid = [float(a) for a in step * np.arange(np.ceil(spec.lowest / step), np.floor(spec.highest / step) + 1)]
-    return _within(spec, theta_in, near + [a for a in grid if min(abs(a - b) for b in near) >= 1.0])
+@dataclass(frozen=True)
+class _Known:
+    """What the measured points tell."""
+
+    process: Interpolant
+    where: Candidates
+    predicted: Prediction
+    errors: Errors
+    goals: FloatArray
+    """[2] wanted errors, or what the noise supports where that is more."""
+    totals: FloatArray
+    """[2] expected errors."""
 
 
-def _without(angles: list[float], others: list[float]) -> list[float]:
-    """`angles` that are none of `others`."""
-    return [a for a in angles if all(abs(a - b) > _SAME for b in others)]
+def _next(
+    spec: PlanSpec, measured: list[Measured], swept: Sequence[Swept], pending: Sequence[Geometry]
+) -> tuple[list[Geometry], Reached]:
+    """The next batch, and how far the sampling is."""
+    here = pending[-1] if pending else measured[-1].geometry if measured else None
+    room, exhausted = _room(spec, measured, pending)
+    known = _known(spec, measured)
+    batch, stop = _batch(spec, known, measured, swept, pending)
+    if batch and room <= 0:
+        batch, stop = [], exhausted
+    return ordered(batch, spec.motion, here)[: max(room, 0)], replace(_reached(measured, known), stopped=stop)
 
 
-def _by_incidence(spec: PlanSpec, measured: list[Measured]) -> dict[float, list[Measured]]:
-    """Measured points of each incident angle, by ascending theta_out."""
-    ordered = sorted(measured, key=lambda p: p.geometry.theta_out)
-    return {t: [p for p in ordered if abs(p.geometry.theta_in - t) <= _SAME] for t in spec.theta_in}
+def _batch(
+    spec: PlanSpec,
+    known: _Known | None,
+    measured: list[Measured],
+    swept: Sequence[Swept],
+    pending: Sequence[Geometry],
+) -> tuple[list[Geometry], Stop | None]:
+    """The next directions in any order, without regard to budgets; where there are none, why."""
+    missing = _missing(spec, measured, pending)
+    if missing or known is None or spec.mode == "uniform":
+        # Where nearly all points failed there is nothing to learn from, and the coarse pass is all there is.
+        return missing, None if missing or pending else "grid" if spec.mode == "uniform" else "step"
+    hidden = _hidden(spec, known, measured, swept, pending)
+    accurate = not hidden and bool(np.all(known.totals <= known.goals))
+    batch: list[Geometry] = []
+    if not (accurate and _confirmed(spec, measured)):
+        most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
+        batch = (hidden + _peaks(spec, known, measured, [*pending, *hidden]))[: 2 * most]
+        most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
+        batch += _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
+    if batch or pending:
+        return list(dict.fromkeys(batch)), None
+    if np.all(known.totals <= _wanted(spec)):
+        return [], "accuracy"
+    useful = (known.errors.sigma > known.errors.noise) & (known.where.share > 0)
+    return [], "step" if not accurate and np.any(useful) else "noise"
 
 
-def _sweep(angles: dict[float, list[float]]) -> list[Geometry]:
-    """All directions of one incident angle in one sweep, every other sweep backwards; the sample moves rarely."""
-    path: list[Geometry] = []
-    for theta_in, outgoing in angles.items():
-        if outgoing:
-            backwards = bool(path) and path[-1].theta_out > 0.5 * (outgoing[0] + outgoing[-1])
-            path += [Geometry(theta_in, a) for a in sorted(outgoing, reverse=backwards)]
-    return path
+def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
+    """Whether the latest points were where those before them said they would be, twice running.
+
+    As many points each time as there are incident angles. What the coarse pass says of itself is not believed: a lobe
+    can go through a few points and be wrong between them.
+    """
+    each = len(spec.theta_in)
+    return _foretold(spec, measured, each) and _foretold(spec, measured[:-each], each)
 
 
-def _open_intervals(spec: PlanSpec, theta_in: float, points: list[Measured]) -> list[tuple[float, float, float]]:
-    """Intervals (from, to, error / allowed error) that need a point in their middle."""
-    found = []
-    for low, high in segments(spec, theta_in):
-        inside = [p for p in points if low - _SAME <= p.geometry.theta_out <= high + _SAME]
-        visited = np.array([p.geometry.theta_out for p in inside])
-        valued = [p for p in inside if np.all(np.isfinite(p.values))]
-        if len(valued) < 2:
-            continue
-        x = np.array([p.geometry.theta_out for p in valued])
-        values = np.maximum(np.array([p.values for p in valued]), 0.0)
-        y, noise = np.log1p(values), np.array([p.noise for p in valued]) / (1 + values)
-        allowed = np.maximum(spec.tolerance, 2 * np.maximum(noise[1:], noise[:-1]))
-        excess = np.max(_middle_error(x, y) / allowed, axis=1)
-        for (a, b), ratio in zip(pairwise(x), excess, strict=True):
-            middle = 0.5 * (a + b)
-            untried = np.min(np.abs(visited - middle)) > _SAME
-            if ratio > 1 and 0.5 * (b - a) >= spec.minimum_step - _SAME and untried:
-                found.append((float(a), float(b), float(ratio)))
+def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
+    """Whether the last `count` points lie where the others predict them."""
+    before, latest = measured[:-count], measured[-count:]
+    latest = [p for p in latest if np.all(np.isfinite(p.values))]
+    known = _known(spec, before)
+    if len(before) < len(coarse(spec)) or known is None or not latest:
+        return False
+    process = known.process
+    at = np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
+    there = predict(process, *at)
+    values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
+    read_noise = process.shape.read_noise(*at, values, noise)[:, None]
+    u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
+    return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < CONFIRMED)
+
+
+def _room(spec: PlanSpec, measured: list[Measured], pending: Sequence[Geometry]) -> tuple[int, Stop]:
+    """How many more points the budgets allow, and which budget is the tighter one."""
+    count, spent = len(measured), sum(p.seconds for p in measured)
+    by_points = math.inf if spec.most_points is None else spec.most_points - count - len(pending)
+    by_time = math.inf
+    if spec.most_seconds is not None and spent > 0:
+        by_time = math.floor((spec.most_seconds - spent) * count / spent) - len(pending)
+    room = min(by_points, by_time, 10**6)
+    return int(room), "points" if by_points <= by_time else "seconds"
+
+
+def _wanted(spec: PlanSpec) -> FloatArray:
+    return np.array([spec.tolerance, math.inf if spec.colour_tolerance is None else spec.colour_tolerance])
+
+
+def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
+    """The process conditioned on the measured points and its errors; None where they are too few."""
+    # a failed point may have another number of bands
+    valued = [p for p in measured if math.isfinite(p.values.sum() + p.noise.sum())]
+    if len(valued) < FEWEST:
+        return None
+    theta_in = np.array([p.geometry.theta_in for p in valued])
+    theta_out = np.array([p.geometry.theta_out for p in valued])
+    values, noise = np.array([p.values for p in valued]), np.array([p.noise for p in valued])
+    process = _process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST), spec.u_angle)
+    shape = process.shape
+    where = candidates({t: segments(spec, t) for t in spec.theta_in}, shape)
+    if spec.importance is not None:
+        share = where.share * spec.importance(where.theta_in, where.theta_out)
+        where = replace(where, share=share / share.sum())
+    predicted = predict(process, where.theta_in, where.theta_out)
+    errors = expected_errors(process, where, predicted)
+    goals = np.maximum(_wanted(spec), errors.noise_floor)
+    return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
+
+
+def _process(
+    theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int, u_angle: float
+) -> Interpolant:
+    """The process conditioned on points, with lobes and scales by those that there were when these were last learnt.
+
+    They are learnt from `first` points, anew whenever there are `GROWTH` times more, and at once when a point comes
+    as a surprise. Each time they are found from the ones before, so the answer depends on the points in their order
+    and on nothing else; it is kept because it takes a while to find.
+    """
+    milestone = min(first, len(theta_in))
+    milestones = [milestone]
+    while (milestone := math.ceil(milestone * GROWTH)) <= len(theta_in):
+        milestones.append(milestone)
+    table = np.column_stack([theta_in, theta_out, values, noise])
+    shape: Shape | None = None
+    for count in milestones:
+        shape = _learnt(table, count, u_angle, shape)
+    assert shape is not None
+    process = condition(shape, theta_in, theta_out, values, noise)
+    if milestones[-1] < len(theta_in) and np.mean(np.diag(process.spread)) > SURPRISE:
+        process = condition(_learnt(table, len(table), u_angle, shape), theta_in, theta_out, values, noise)
+    return process
+
+
+def _learnt(table: FloatArray, count: int, u_angle: float, before: Shape | None) -> Shape:
+    stride = math.ceil(count / MOST_LEARNT)
+    return _learnt_from(table[:count:stride].tobytes(), table.shape[1], u_angle, before.scales if before else None)
+
+
+@lru_cache(maxsize=64)
+def _learnt_from(table: bytes, columns: int, u_angle: float, start: Scales | None) -> Shape:
+    points = np.frombuffer(table).reshape(-1, columns)
+    bands = (columns - 2) // 2
+    return learn(points[:, 0], points[:, 1], points[:, 2 : 2 + bands], points[:, 2 + bands :], u_angle, start)
+
+
+def _reached(measured: list[Measured], known: _Known | None) -> Reached:
+    seconds = sum(p.seconds for p in measured)
+    if known is None:
+        return Reached(len(measured), seconds, math.nan, math.nan, math.nan, math.nan, None)
+    largest = 3 * float(np.max(known.errors.sigma * known.errors.per_sigma[:, 0]))
+    error, colour = (float(v) for v in known.totals)
+    return Reached(len(measured), seconds, error, largest, colour, float(known.errors.noise_floor[0]), None)
+
+
+def _chosen(
+    spec: PlanSpec, known: _Known, measured: Sequence[Measured], pending: Sequence[Geometry], most: int, least: int = 1
+) -> list[Geometry]:
+    """The directions that reduce the errors most, when those of `pending` are measured, too."""
+    where, predicted, errors = known.where, known.predicted, known.errors
+    count = where.theta_in.size
+    if pending:
+        where = Candidates(
+            np.append(where.theta_in, [g.theta_in for g in pending]),
+            np.append(where.theta_out, [g.theta_out for g in pending]),
+            np.append(where.share, np.zeros(len(pending))),
+        )
+        predicted = predict(known.process, where.theta_in, where.theta_out)
+        errors = expected_errors(known.process, where, predicted)
+    allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
+    later = range(count, count + len(pending))
+    picked = choose(
+        known.process, where, predicted, errors, known.goals, allowed, spec.minimum_step, most, least, later
+    )
+    return [Geometry(float(where.theta_in[i]), float(where.theta_out[i])) for i in picked]
+
+
+def _apart(where: Candidates, visited: Sequence[Geometry], minimum_step: float) -> BoolArray:
+    """[candidates] which lie at least `minimum_step` from every visited direction of their incident angle."""
+    allowed = np.ones(where.theta_in.size, dtype=bool)
+    visited_in, visited_out = np.array([(g.theta_in, g.theta_out) for g in visited]).reshape(-1, 2).T
+    for t in np.unique(where.theta_in):
+        there, taken = where.theta_in == t, visited_out[np.abs(visited_in - t) <= SAME]
+        if taken.size:
+            distance = np.abs(where.theta_out[there, None] - taken).min(axis=1)
+            allowed[there] = distance >= minimum_step - SAME
+    return allowed
+
+
+def _hidden(
+    spec: PlanSpec, known: _Known, measured: list[Measured], swept: Sequence[Swept], pending: Sequence[Geometry]
+) -> list[Geometry]:
+    """Directions that search for what the pre-scan saw and the points do not explain."""
+    visited = [*(p.geometry for p in measured), *pending]
+    found: list[Geometry] = []
+    for reading in unexplained(known.process, swept, visited):
+        there = np.array([g.theta_out for g in visited if abs(g.theta_in - reading.theta_in) <= SAME])
+        place = searched(reading, there, spec.minimum_step)
+        if place is not None and not place.blocked:
+            found.append(place)
     return found
 
 
-def _middle_error(x: FloatArray, y: FloatArray) -> FloatArray:
-    """[intervals, bands] how far a monotone cubic through (x, y[points, bands]) may be wrong at each middle.
+def _peaks(spec: PlanSpec, known: _Known, measured: list[Measured], pending: Sequence[Geometry]) -> list[Geometry]:
+    """The brightest direction of each incident angle, where nothing near it was measured.
 
-    Judged by how far it departs from the chord there. The monotone cubic is flat at every extremum of the
-    data and so says nothing about a summit between two points; the modified Akima cubic is not and does.
+    Between rough facets that shade each other it lies beyond the mirror direction.
     """
-    middle = 0.5 * (x[1:] + x[:-1])
-    chord = 0.5 * (y[1:] + y[:-1])
-    monotone = np.abs(PchipInterpolator(x, y)(middle) - chord)
-    return np.maximum(monotone, np.abs(Akima1DInterpolator(x, y, method="makima")(middle) - chord))
+    level = known.predicted.latent.mean(axis=1)
+    near = max(spec.minimum_step, 0.5 * known.process.shape.lobe.half_width)
+    allowed = _apart(known.where, [*(p.geometry for p in measured), *pending], near)
+    found = []
+    for t in spec.theta_in:
+        there = np.flatnonzero(known.where.theta_in == t)
+        if there.size and allowed[best := there[np.argmax(level[there])]]:
+            found.append(Geometry(t, float(known.where.theta_out[best])))
+    return found
+
+
+def _missing(spec: PlanSpec, measured: Sequence[Measured], pending: Sequence[Geometry]) -> list[Geometry]:
+    """Directions of the coarse pass, or of the uniform grid, that nobody has visited."""
+    wanted = uniform(spec, spec.step) if spec.mode == "uniform" else coarse(spec)
+    visited = {_key(p.geometry) for p in measured} | {_key(g) for g in pending}
+    return [g for g in wanted if _key(g) not in visited]
+
+
+def _key(geometry: Geometry) -> tuple[int, int]:
+    return round(geometry.theta_in / SAME), round(geometry.theta_out / SAME)

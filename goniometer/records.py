@@ -43,7 +43,7 @@ class Scan:
     outcome: Outcome | None
     """How it ended; None while it has not."""
     reason: str
-    """Why it ended so, as a sentence; empty when completed."""
+    """Why it ended so, as a sentence; of a completed sample, what accuracy its sampling reached."""
     command: Command | None
     """What somebody asked for and the scheduler has not taken up yet."""
     started: str | None

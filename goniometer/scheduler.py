@@ -31,22 +31,19 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-import numpy as np
-
 from drivers.errors import DriverError
 from goniometer.auxiliary import Auxiliary, Darks
-from goniometer.calibration import band_values, certificate_of
+from goniometer.batches import batches
 from goniometer.campaign import Campaign
 from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.exposure import Brightness, Detector, brightness, check_limits, detector_of, predict, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset
-from goniometer.plan import Measured, expected_total, next_points, plan_spec, reference_points, spot_points
+from goniometer.plan import plan_spec
 from goniometer.progress import Progress
 from goniometer.raw import RawScan, read_raw
 from goniometer.records import Outcome, Phase, Point, Scan
-from goniometer.response import Response, response
 from goniometer.safety import check_plan
 from goniometer.store import Store
 
@@ -61,9 +58,6 @@ POLL = 0.05
 
 LETTING_GO = 10.0
 """Seconds of real time that work which was cancelled may take to end; then it is left behind."""
-
-TYPICAL_REFINEMENT = 1.4
-"""Points of a sample over points of its coarse sweep, before anything is known about it."""
 
 _ABORTED = "The operator aborted it; run the campaign again to go on where it stood."
 
@@ -143,7 +137,7 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
             store.finish_scan(scan_id, *_ending(error))
             run.tell("finished")
         raise
-    store.finish_scan(scan_id, "completed")
+    store.finish_scan(scan_id, "completed", run.batches.accuracy())
     run.tell("finished")
 
 
@@ -165,12 +159,15 @@ class _Run:
         self.instrument = instrument
         self.report = report
         self.campaign = store.campaign(scan.campaign_id)
-        self.spec = plan_spec(self.campaign)
+        self.batches = batches(
+            store, scan, self.campaign, plan_spec(self.campaign, instrument.motion, instrument.u_angle)
+        )
+        self.ahead: tuple[list[Geometry], int] | None = None
+        self.foreseen = 0
         self.policy = self.campaign.integration
         if scan.kind == "reference":  # its points serve all others and are bright: none is cut short
             changes = {"scans": self.campaign.reference.scans, "signal_to_noise": None}
             self.policy = self.policy.model_copy(update=changes)
-        self.response: Response | None = None
         # Repeats stored exposures, so that choosing an exposure does not read them all again.
         self.seen: dict[float, list[tuple[float, Brightness]]] = {}
         self.began = time.monotonic()
@@ -189,7 +186,7 @@ class _Run:
         while batch := self._pending():
             for point in batch:
                 await self._obey()
-                failure = await self._attempt(point)
+                failure = await (self._attempt(point) if point is not batch[-1] else self._attempt_last(point))
                 self.done += 1
                 self.failed += failure is not None
                 failures = failures + 1 if failure else 0
@@ -254,56 +251,29 @@ class _Run:
         points = self.store.points(self.scan.id)
         pending = [p for p in points if p.status == "pending"]
         if not pending:
-            batch = self._plan(points)
+            batch, self.foreseen = self.ahead or self.batches.look(points)
             if batch:
                 self.store.add_points(self.scan.id, batch)
             pending = [p for p in self.store.points(self.scan.id) if p.status == "pending"]
-        self.expected = max(self._expected(points), len(points), self.done + len(pending))
+        self.ahead = None
+        self.expected = max(self.foreseen, len(points), self.done + len(pending))
         return pending
 
-    def _plan(self, points: list[Point]) -> list[Geometry]:
-        if self.scan.kind == "sample":
-            return next_points(self.spec, self._measured(self.scan))
-        if points:
-            return []
-        if self.scan.kind == "reference":
-            return reference_points(self.spec, self.campaign.reference.step)
-        assert self.campaign.homogeneity is not None  # or there were no such scan
-        sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
-        return spot_points(self._measured(sample), self.campaign.homogeneity.points)
+    async def _attempt_last(self, point: Point) -> DriverError | GeometryError | None:
+        """`_attempt` on the last point of a batch, while the plan finds the next batch."""
+        planning = asyncio.to_thread(self.batches.look, self.store.points(self.scan.id))
+        thinking = asyncio.create_task(planning)
+        try:
+            failure = await self._attempt(point)
+        finally:
+            await asyncio.wait({thinking})
+        self.ahead = thinking.result()
+        return failure
 
     def has_nothing_to_compare(self) -> bool:
         """Whether this is the scan of a spot, and the sample before it has no direction fit to be measured again."""
         points = self.store.points(self.scan.id)
-        return self.scan.kind == "spot" and not points and not self._plan(points)
-
-    def _measured(self, scan: Scan) -> list[Measured]:
-        """What the plan may know of a scan: bands of measured points, and nothing but the place of failed ones."""
-        nothing = np.full(1, np.nan)
-        points = self.store.points(scan.id)
-        visited = [Measured(p.geometry, nothing, nothing) for p in points if p.status in {"failed", "skipped"}]
-        if not any(p.status == "done" for p in points):
-            return visited
-        raw = read_raw(self.store, scan.id)
-        if self.response is None:
-            reference = self.store.reference_scan(scan.id)
-            self.response = response(read_raw(self.store, reference.id), certificate_of(self.store, scan.campaign_id))
-        values, noise = band_values(raw, self.response)
-        return [Measured(g, v, u) for g, v, u in zip(raw.planned, values, noise, strict=True)] + visited
-
-    def _expected(self, points: list[Point]) -> int:
-        """How many points this scan will have: from its own intervals, or from its like before these are known."""
-        if self.scan.kind == "reference":
-            return len(reference_points(self.spec, self.campaign.reference.step))
-        if self.scan.kind == "spot":
-            return len(points)
-        coarse = len(next_points(self.spec, []))
-        if self.done >= coarse:
-            return expected_total(self.spec, self._measured(self.scan))
-        others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
-        if not others:
-            return round(TYPICAL_REFINEMENT * coarse)
-        return round(sum(len(self.store.points(s.id)) for s in others) / len(others))
+        return self.scan.kind == "spot" and not points and not self.batches.next(points)
 
     async def unless_aborted(self, work: Coroutine[Any, Any, None]) -> None:
         """Wait for `work`, but cancel it and raise `RunAborted` as soon as an abort is asked for."""

@@ -1,0 +1,130 @@
+"""Which directions a scan measures next, as a function of what stands in the database.
+
+The next batch of a sample is planned while its last point is still being measured: from all points before that one, and
+from the knowledge that it is on its way. A resumed scan asks the same and gets the same.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniometer.calibration import band_values, certificate_of
+from goniometer.campaign import Campaign
+from goniometer.geometry import Geometry
+from goniometer.plan import (
+    Measured,
+    PlanSpec,
+    Reached,
+    expected_total,
+    next_points,
+    reached,
+    reference_points,
+    spot_points,
+)
+from goniometer.raw import read_raw
+from goniometer.records import Point, Scan
+from goniometer.response import Response, response
+from goniometer.store import Store
+
+TYPICAL_REFINEMENT = 1.8
+"""Points of a sample over points of its coarse pass, before anything is known about it."""
+
+_FINISHED = {"done", "failed", "skipped"}
+_WHY = {
+    "accuracy": "that is what was asked for",
+    "noise": "the noise of the points supports no more",
+    "step": "directions lie as close as they may",
+    "grid": "the grid is complete",
+    "points": "the points that it may have are measured",
+    "seconds": "the time that it may take is over",
+}
+"""Why a sampling ended, in words."""
+
+
+@dataclass(frozen=True)
+class Batches:
+    """What decides the directions of one scan."""
+
+    store: Store
+    scan: Scan
+    campaign: Campaign
+    spec: PlanSpec
+    response: Response | None
+    """Of the instrument; None for the reference scan, which finds it."""
+
+    def look(self, points: list[Point]) -> tuple[list[Geometry], int]:
+        """What `next` gives, and how many points the scan will have, as far as that is known."""
+        return self.next(points), self._expected(points)
+
+    def next(self, points: list[Point]) -> list[Geometry]:
+        """The next batch when `points` are finished, the last one perhaps not yet; empty when the scan is complete."""
+        if self.scan.kind == "sample":
+            seen = self._measured(self.scan, points[:-1])
+            batch = next_points(self.spec, seen, pending=[p.geometry for p in points[-1:]])
+            # whether the sampling is complete is for all points to say
+            return batch or (next_points(self.spec, self._measured(self.scan, points)) if points else [])
+        if points:
+            return []
+        if self.scan.kind == "reference":
+            return reference_points(self.spec, self.campaign.reference.step)
+        assert self.campaign.homogeneity is not None  # or there were no such scan
+        sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
+        seen = self._measured(sample, self.store.points(sample.id))
+        return spot_points(seen, self.campaign.homogeneity.points)
+
+    def _expected(self, points: list[Point]) -> int:
+        """How many points the scan will have: as its own plan foresees, or as its like before that is known."""
+        if self.scan.kind == "reference":
+            return len(reference_points(self.spec, self.campaign.reference.step))
+        if self.scan.kind == "spot":
+            return len(points)
+        coarse = len(next_points(self.spec, []))
+        finished = [p for p in points if p.status in _FINISHED]
+        if len(finished) >= coarse:
+            return expected_total(self.spec, self._measured(self.scan, finished))
+        others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
+        if not others:
+            return round(TYPICAL_REFINEMENT * coarse)
+        return round(sum(len(self.store.points(s.id)) for s in others) / len(others))
+
+    def accuracy(self) -> str:
+        """What accuracy a sample's sampling has reached, and why it ended, as a sentence; empty for other scans."""
+        if self.scan.kind != "sample":
+            return ""
+        return in_words(reached(self.spec, self._measured(self.scan, self.store.points(self.scan.id))))
+
+    def _measured(self, scan: Scan, points: list[Point]) -> list[Measured]:
+        """What the plan may know of `points`: bands of those that are done, and the place of failed ones."""
+        nothing = np.full(1, np.nan)
+        if not any(p.status == "done" for p in points):
+            return [Measured(p.geometry, nothing, nothing, p.seconds) for p in points if p.status in _FINISHED]
+        assert self.response is not None  # there are samples
+        raw = read_raw(self.store, scan.id)
+        values, noise = band_values(raw, self.response)
+        known = {geometry: (v, u) for geometry, v, u in zip(raw.planned, values, noise, strict=True)}
+        seen = []
+        for point in points:
+            if point.status in _FINISHED:
+                value, noise = known[point.geometry] if point.status == "done" else (nothing, nothing)
+                seen.append(Measured(point.geometry, value, noise, point.seconds))
+        return seen
+
+
+def batches(store: Store, scan: Scan, campaign: Campaign, spec: PlanSpec) -> Batches:
+    """What decides the directions of `scan`; the reference scan must be complete before a sample."""
+    known = None
+    if scan.kind != "reference":
+        reference = store.reference_scan(scan.id)
+        known = response(read_raw(store, reference.id), certificate_of(store, scan.campaign_id))
+    return Batches(store, scan, campaign, spec, known)
+
+
+def in_words(found: Reached) -> str:
+    """How accurate a sampling is, and why it ended."""
+    if not np.isfinite(found.error):
+        return f"{found.points} points: too few to say how well the BRDF is known between them."
+    why = "" if found.stopped is None else f"; {_WHY[found.stopped]}"
+    return (
+        f"{found.points} points: between them ln(1 + cos(theta_in) f) is known to {found.error:.2g} (rms) and "
+        f"colours to a mean dE00 of {found.colour_error:.2g}{why}."
+    )

@@ -1,0 +1,164 @@
+"""What a plan is asked for, and the directions that are certain before anything is measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from drivers.arrays import FloatArray
+from goniometer.campaign import Campaign
+from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE, Geometry
+from goniometer.route import Motion, ordered
+
+OFFSETS = (1.0, 2.5, 6.0, 14.0, 30.0)
+"""Degrees beside the mirror direction that the coarse pass visits, shared out among the incident angles."""
+
+ORDINARY = Motion()
+"""A bench of ordinary speed."""
+
+SAME = 1e-6
+"""Degrees below which two planned angles are the same."""
+
+
+@dataclass(frozen=True)
+class PlanSpec:
+    """What is to be sampled; angles in degrees."""
+
+    theta_in: tuple[float, ...]
+    """Incident angles, ascending."""
+    lowest: float = -LARGEST_ANGLE
+    """Lowest theta_out."""
+    highest: float = LARGEST_ANGLE
+    """Highest theta_out."""
+    tolerance: float = 0.005
+    """Wanted root mean square error, over all directions, of reading ln(1 + cos(theta_in) f) between the points."""
+    step: float = 1.0
+    """Distance of directions in mode "uniform"."""
+    minimum_step: float = 0.2
+    """Dynamic resolution brings no two directions closer than this."""
+    colour_tolerance: float | None = 0.2
+    """Wanted mean dE00 of reading a colour between the points; None where colour does not matter."""
+    mode: Literal["dynamic", "uniform"] = "dynamic"
+    """Whether the plan finds the directions or takes an even grid."""
+    most_points: int | None = None
+    """Budget of points; None for no limit."""
+    most_seconds: float | None = None
+    """Budget of time at the bench, seconds; None for no limit."""
+    importance: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+    """How much directions matter: a non-negative number [points] for each theta_in and theta_out [points]; None where
+    all matter alike. Errors are averaged with it, so directions of importance 0 are not measured for their own sake."""
+    u_angle: float = 0.0
+    """Standard uncertainty of a stage's position: a point on a steep flank cannot tell more than that."""
+    motion: Motion = ORDINARY
+    """How the bench moves, for the order of a batch."""
+
+
+def plan_spec(campaign: Campaign, motion: Motion = ORDINARY, u_angle: float = 0.0) -> PlanSpec:
+    """What a campaign wants sampled on each of its samples, on a bench that moves like `motion`.
+
+    `u_angle` is the standard uncertainty of a stage's position, degrees.
+    """
+    wanted = campaign.resolution
+    return PlanSpec(
+        campaign.theta_in,
+        campaign.outgoing.start,
+        campaign.outgoing.stop,
+        wanted.tolerance,
+        wanted.step,
+        wanted.minimum_step,
+        wanted.colour_tolerance,
+        wanted.mode,
+        wanted.points,
+        wanted.time,
+        u_angle=u_angle,
+        motion=motion,
+    )
+
+
+MONITOR_INCIDENCE = 30.0
+"""Degrees; the lamp is monitored at the incident angle nearest to it, in the mirror direction, where light is."""
+
+
+def monitor_direction(spec: PlanSpec) -> Geometry:
+    """Where the lamp is monitored: the measurable direction that is nearest to a mirror direction."""
+    theta_in = min(spec.theta_in, key=lambda t: abs(t - MONITOR_INCIDENCE))
+    nearest = [min(max(theta_in, low), high) for low, high in segments(spec, theta_in)]
+    return Geometry(theta_in, min(nearest, key=lambda a: abs(a - theta_in)))
+
+
+def blocked_ranges(spec: PlanSpec) -> dict[float, tuple[float, float]]:
+    """For each incident angle the open interval of theta_out in which the detector blocks the source, degrees."""
+    return {t: (-t - BLOCKED_HALF_WIDTH, -t + BLOCKED_HALF_WIDTH) for t in spec.theta_in}
+
+
+def segments(spec: PlanSpec, theta_in: float) -> list[tuple[float, float]]:
+    """The measurable ranges of theta_out at one incident angle, degrees, ascending; ends belong to them."""
+    low, high = -theta_in - BLOCKED_HALF_WIDTH, -theta_in + BLOCKED_HALF_WIDTH
+    # Rounding must not put an edge into the sector that it bounds.
+    low -= 1e-9 if Geometry(theta_in, low).blocked else 0.0
+    high += 1e-9 if Geometry(theta_in, high).blocked else 0.0
+    parts = [(spec.lowest, min(low, spec.highest)), (max(high, spec.lowest), spec.highest)]
+    return [(a, b) for a, b in parts if a <= b]
+
+
+def uniform_grid_size(spec: PlanSpec, step: float = 1.0) -> int:
+    """How many measurable directions a uniform grid of `step` degrees in theta_out has, for comparison."""
+    return len(uniform(spec, step))
+
+
+def reference_points(spec: PlanSpec, step: float = 10.0) -> list[Geometry]:
+    """The directions of the reference scan: every `step` degrees from one end, and all edges; in visiting order.
+
+    A sample's point finds the instrument's response by interpolation between them. The default range avoids
+    theta_out = 0, where the azimuth of the reflected light turns over and the panel's nominal BRDF jumps.
+    """
+    count = int(np.floor((spec.highest - spec.lowest) / step + SAME)) + 1
+    wanted = [float(spec.lowest + step * i) for i in range(count)]
+    return ordered([Geometry(t, a) for t in spec.theta_in for a in _within(spec, t, wanted)], spec.motion)
+
+
+def uniform(spec: PlanSpec, step: float) -> list[Geometry]:
+    """The measurable directions of a grid of `step` degrees in theta_out."""
+    count = int(np.floor((spec.highest - spec.lowest) / step + SAME)) + 1
+    angles = spec.lowest + step * np.arange(count)
+    grid = [Geometry(t, float(a)) for t in spec.theta_in for a in angles]
+    return [geometry for geometry in grid if not geometry.blocked]
+
+
+def _within(spec: PlanSpec, theta_in: float, wanted: list[float]) -> list[float]:
+    """Those of `wanted` that lie in the measurable segments, and the segments' ends; ascending."""
+    angles: list[float] = []
+    for low, high in segments(spec, theta_in):
+        inside = [a for a in sorted(wanted) if low < a < high]
+        angles += [low, *_without(inside, [low, high]), *([high] if high > low else [])]
+    return angles
+
+
+def _without(angles: list[float], others: list[float]) -> list[float]:
+    """`angles` that are none of `others`."""
+    return [a for a in angles if all(abs(a - b) > SAME for b in others)]
+
+
+def coarse(spec: PlanSpec) -> list[Geometry]:
+    """Directions of the coarse pass, by incident angle and theta_out."""
+    few = len(OFFSETS) if len(spec.theta_in) < 4 else 1
+    found: list[Geometry] = []
+    for i, t in enumerate(spec.theta_in):
+        side = 1 if i % 2 else -1
+        chosen = [OFFSETS[(i + k) % len(OFFSETS)] for k in range(few)]
+        opposite = [OFFSETS[(i + 2 + k) % len(OFFSETS)] for k in range(few)]
+        beside = [t + side * offset for offset in chosen] + [t - side * offset for offset in opposite]
+        angles = _within(spec, t, [t, *beside])
+        gaps = [(b - a, a, b) for low, high in segments(spec, t) for a, b in _pairs(angles, low, high)]
+        if gaps:
+            _, a, b = max(gaps)
+            angles.append(round((a + b) / 2, 2))
+        found += [Geometry(t, a) for a in sorted(angles)]
+    return found
+
+
+def _pairs(angles: list[float], low: float, high: float) -> list[tuple[float, float]]:
+    inside = [a for a in angles if low <= a <= high]
+    return list(pairwise(inside))

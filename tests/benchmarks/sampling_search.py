@@ -1,0 +1,145 @@
+"""Are lobes missed that lie between all points? Run as a module, `python -m tests.benchmarks.sampling_search [COUNT]`.
+
+A lobe of random place, width (0.3 to 30 degrees) and height (five decades) stands on a diffuse ground and is seen
+through the aperture. It is sampled with and without a pre-scan. Without one a narrow lobe is found by chance; with one
+none may be missed that stands above the noise of the pre-scan.
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.directions import round_aperture
+from drivers.arrays import FloatArray
+from goniometer.interpolant import predict_values
+from goniometer.plan import Measured, PlanSpec, interpolation, next_points, segments
+from goniometer.sweep import Swept, averaged, swept_intervals
+
+THETA_IN = 30.0
+SPEC = PlanSpec((THETA_IN,), tolerance=0.005, colour_tolerance=None, most_points=120)
+SWEEP = 10.0, 0.2
+"""Degrees a second of the arm, and seconds of integration, of the pre-scan."""
+SWEEP_NOISE = 0.003, 1e-4
+"""Relative, and in 1/sr, of a reading of the moving detector."""
+POINT_NOISE = 0.001, 1e-5
+TINT = np.array([1.0, 1.02, 1.05, 1.1])
+_APERTURE = round_aperture(1.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One lobe on a diffuse ground."""
+
+    width: float
+    """Full width at half maximum, degrees."""
+    height: float
+    """cos(theta_in) f, 1/sr, before the aperture."""
+    place: float
+    """theta_out, degrees."""
+    ground: float
+    """cos(theta_in) f, 1/sr."""
+
+    def __call__(self, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+        """[points, bands] as the aperture sees it."""
+        away = (theta_out[:, None] + _APERTURE.along - self.place) / self.width
+        lobe = self.height * np.exp(-4 * np.log(2) * away**2) @ _APERTURE.weights
+        return np.asarray((self.ground + lobe)[:, None] * TINT)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of a case."""
+
+    missed: bool
+    """Whether less than half of the lobe is in the interpolation."""
+    error: float
+    """Largest error of ln(1 + cos f)."""
+    points: int
+
+
+def random_case(random: np.random.Generator) -> Case:
+    """Uniform in the logarithms of width, height and ground, and in place outside the blocked sector."""
+    while True:
+        place = float(random.uniform(-85, 85))
+        if abs(place + THETA_IN) >= 5:
+            break
+    width, height, ground = (10 ** random.uniform(*np.log10(ends)) for ends in ((0.3, 30), (1e-3, 1e2), (0.01, 0.3)))
+    return Case(float(width), float(height), place, float(ground))
+
+
+def noise(value: FloatArray, model: tuple[float, float]) -> FloatArray:
+    """Standard deviation of a reading."""
+    return np.asarray(np.hypot(model[0] * value, model[1]))
+
+
+def sweep(case: Case, random: np.random.Generator) -> tuple[list[Swept], float]:
+    """The pre-scan, and by how many standard deviations of its noise, or of 2 % of the ground, the lobe stands out."""
+    readings, clearest = [], 0.0
+    for interval in swept_intervals(segments(SPEC, THETA_IN), *SWEEP):
+        value = averaged(case, THETA_IN, interval)
+        u = noise(value, SWEEP_NOISE)
+        excess = float(np.mean(value / TINT)) - case.ground
+        clearest = max(clearest, excess / float(np.hypot(u.mean(), 0.02 / 4 * value.mean())))
+        readings.append(Swept(THETA_IN, *interval, value + u * random.normal(size=value.shape), u))
+    return readings, clearest
+
+
+def sampled(case: Case, swept: list[Swept], random: np.random.Generator) -> Found:
+    """Sample a case until the plan is content."""
+    points: list[Measured] = []
+    while batch := next_points(SPEC, points, swept):
+        value = case(np.full(len(batch), THETA_IN), np.array([g.theta_out for g in batch]))
+        u = noise(value, POINT_NOISE)
+        value = value + u * random.normal(size=value.shape)
+        points += [Measured(g, v, s, 1.0) for g, v, s in zip(batch, value, u, strict=True)]
+    process = interpolation(SPEC, points)
+    assert process is not None
+    grid = [np.arange(a, b, 0.1) for a, b in segments(SPEC, THETA_IN)]
+    theta_out = np.concatenate([*grid, [case.place]])
+    theta_in = np.full(theta_out.size, THETA_IN)
+    read, _ = predict_values(process, theta_in, theta_out)
+    truth = case(theta_in, theta_out)
+    lobe = truth[-1, 0] - case.ground
+    return Found(
+        bool(read[-1, 0] - case.ground < 0.5 * lobe), float(np.abs(np.log1p(read) - np.log1p(truth)).max()), len(points)
+    )
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print a table of both ways by width."""
+    count = int(arguments[0]) if arguments else 1000
+    random = np.random.default_rng(11)
+    cases = [random_case(random) for _ in range(count)]
+    begin = time.perf_counter()
+    rows = []
+    for case in cases:
+        swept, clear = sweep(case, random)
+        rows.append((case, clear, sampled(case, swept, random), sampled(case, [], random)))
+    print(f"{count} lobes at theta_in = {THETA_IN:g} degrees, {time.perf_counter() - begin:.0f} s")
+    above = [row for row in rows if row[1] > 4]
+    print(f"{len(above)} stand above the noise of the pre-scan by more than four standard deviations")
+    print(
+        f"{'width':>12}{'lobes':>7}   with pre-scan: missed, points, median and worst error   without: missed, points"
+    )
+    for low, high in ((0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 30.0)):
+        here = [row for row in above if low <= row[0].width < high]
+        if not here:
+            continue
+        seen, blind = [row[2] for row in here], [row[3] for row in here]
+        errors = [f.error for f in seen]
+        print(
+            f"{low:5g} to {high:3g}{len(here):7}{sum(f.missed for f in seen):26}"
+            f"{np.mean([f.points for f in seen]):8.1f}"
+            f"{np.median(errors):10.4f}{max(errors):8.4f}{np.mean([f.missed for f in blind]):22.2f}"
+            f"{np.mean([f.points for f in blind]):8.1f}"
+        )
+    for case, clear, found, _ in above:
+        if found.missed:
+            print(f"missed: {case}, {clear:.1f} standard deviations above the noise, error {found.error:.4f}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
