@@ -29,7 +29,7 @@ samples:
   - {name: Sample 1, material: sample-1}
   - {name: Mirror, material: mirror}
 incident: [20, 60]
-resolution: {tolerance: 0.05, coarse_step: 15 deg}
+resolution: {tolerance: 0.02, colour_tolerance: 1}
 monitor: null
 """
 """A campaign of two incident angles that takes seconds; without monitors an interruption changes nothing."""

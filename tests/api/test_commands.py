@@ -120,7 +120,7 @@ def test_a_sample_that_cannot_be_fitted_does_not_cost_the_others_their_fits(cli:
         "samples: [{name: Rough, material: sample-1}, {name: Mirror, material: mirror}]\n"
         "incident: [20]\n"
         "outgoing: {start: 19, stop: 21}\n"
-        "resolution: {tolerance: 0.3, coarse_step: 5, minimum_step: 0.05}\n"
+        "resolution: {tolerance: 0.3, colour_tolerance: null, minimum_step: 0.05}\n"
     )
     for _ in range(2):
         done = cli("run", "narrow.yaml", "--json", cwd=tmp_path)

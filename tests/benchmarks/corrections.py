@@ -53,7 +53,7 @@ def campaign(names: tuple[str, ...], monitor: Monitor | None, scans: int) -> Cam
         seed=SEED,
         samples=tuple(Sample(name=n, material=n, diameter=diameters.get(n, 50.0)) for n in names),
         incident=AngleSteps(start=20, stop=60, step=40),
-        resolution=Resolution(coarse_step=10.0, tolerance=0.02),
+        resolution=Resolution(),
         integration=Integration(scans=scans),
         reference=Reference(scans=scans),
         monitor=monitor,

@@ -57,7 +57,7 @@ def scores(seed: int, watched: bool) -> list[Scores]:
         seed=seed,
         samples=tuple(Sample(name=name, material=name) for name in SAMPLES),
         incident=(10.0, 40.0, 70.0),
-        resolution=Resolution(coarse_step=30.0, tolerance=0.3),
+        resolution=Resolution(points=36),
         reference=Reference(step=30.0),
         monitor=Monitor() if watched else None,
         stray_light=watched,

@@ -141,7 +141,7 @@ def campaign(number: int, points: int) -> Campaign:
         samples=tuple(Sample(name=f"S{i}", material=MATERIALS[i % len(MATERIALS)]) for i in range(samples)),
         incident=INCIDENT,
         outgoing=OutgoingRange(start=-80.0, stop=80.0),
-        resolution=Resolution(coarse_step=step, minimum_step=step),
+        resolution=Resolution(mode="uniform", step=step),
         reference=Reference(step=10.0, scans=1),
         integration=Integration(scans=1, maximum=2.0),
     )

@@ -25,7 +25,7 @@ CAMPAIGN = Campaign(
     seed=3,
     samples=(Sample(name="Rough", material="sample-1"),),
     incident=(30.0,),
-    resolution=Resolution(coarse_step=45.0, minimum_step=45.0),
+    resolution=Resolution(mode="uniform", step=45.0),
     reference=NOMINAL_PANEL,
     monitor=None,
     stray_light=False,
@@ -143,7 +143,7 @@ def test_interruptions_change_no_exposure_of_a_campaign_that_controls_its_exposu
         integration=Integration(signal_to_noise=200.0, time_limit=60.0, exposures=2),
         stray_light=True,
         homogeneity=Homogeneity(points=3),
-        resolution=Resolution(coarse_step=30.0, minimum_step=10.0),
+        resolution=Resolution(tolerance=0.02, points=14),
     )
 
     async def stopped_after(store, count):
@@ -254,7 +254,7 @@ def test_a_bench_whose_arm_cannot_stand_before_the_source_measures_without_stray
 
 def test_the_lamp_is_looked_at_when_a_scan_begins_and_ends_and_as_often_as_was_asked_between(store):
     lamp = Imperfections(lamp_drift=0.02)
-    campaign = changed(monitor=Monitor(every=300.0), resolution=Resolution(coarse_step=10.0))
+    campaign = changed(monitor=Monitor(every=300.0), resolution=Resolution(mode="uniform", step=10.0))
     asyncio.run(run(store, campaign, imperfections=lamp))
     for scan in store.scans():
         raw = read_raw(store, scan.id)
@@ -315,7 +315,7 @@ def test_a_fault_on_the_way_to_the_lamp_costs_a_point_one_attempt_and_is_not_met
 
         instrument.goto = jammed
 
-    campaign = changed(monitor=Monitor(every=200.0), resolution=Resolution(coarse_step=20.0))
+    campaign = changed(monitor=Monitor(every=200.0), resolution=Resolution(mode="uniform", step=20.0))
     asyncio.run(run(store, campaign, change=change))
     points = store.points(store.scans()[0].id)
     assert {p.status for p in points} == {"done"}
@@ -351,7 +351,7 @@ def test_another_spot_is_measured_in_some_directions_of_the_sample_before_it_is_
     events = []
 
     async def work():
-        campaign = changed(homogeneity=Homogeneity(points=4), resolution=Resolution(coarse_step=20.0))
+        campaign = changed(homogeneity=Homogeneity(points=4), resolution=Resolution(mode="uniform", step=20.0))
         async with bench(3) as (instrument, mount, _):
 
             async def noted(scan):

@@ -24,7 +24,7 @@ CAMPAIGN = Campaign(
     seed=3,
     samples=(Sample(name="Rough", material="sample-1"),),
     incident=(30.0,),
-    resolution=Resolution(coarse_step=40.0, tolerance=0.5),
+    resolution=Resolution(mode="uniform", step=40.0),
 )
 TIMEOUT = 0.1
 """Real seconds that a driver waits for a reply."""

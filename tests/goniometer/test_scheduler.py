@@ -34,7 +34,7 @@ CAMPAIGN = Campaign(
     seed=3,
     samples=(Sample(name="Mirror", material="sample-6"),),
     incident=(30.0,),
-    resolution=Resolution(coarse_step=20.0, tolerance=0.1),
+    resolution=Resolution(tolerance=0.05, colour_tolerance=None),
     reference=NOMINAL_PANEL,
     monitor=None,  # bound to time, which an interruption changes
 )

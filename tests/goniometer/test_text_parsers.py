@@ -86,7 +86,7 @@ CAMPAIGN = {
     "samples": [{"name": "Sample 1", "material": "sample-1"}, {"name": "b", "material": "c", "description": "d"}],
     "incident": {"start": 0, "stop": "80 deg", "step": 20},
     "outgoing": {"start": -80, "stop": 80},
-    "resolution": {"tolerance": 0.02, "coarse_step": 10, "minimum_step": "0.5 deg"},
+    "resolution": {"tolerance": 0.02, "step": 10, "minimum_step": "0.5 deg", "time": "2 min"},
     "integration": {"minimum": "8 ms", "maximum": 30, "fill": 0.7, "scans": 1},
     "reference": {"certificate": "panel.csv", "step": 10, "scans": 2},
 }
