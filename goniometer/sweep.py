@@ -20,7 +20,7 @@ NODE_DISTANCE = 0.5
 _SIGNIFICANT = 4.0
 """Standard deviations by which a reading must differ from the prediction."""
 
-_CLEAR = 2.0
+_CLEAR = 3.0
 """The same of a reading and its neighbours: a needless look is cheaper than a lobe that is missed."""
 
 _ALIKE = 0.02
@@ -115,7 +115,7 @@ def summits(swept: Sequence[Swept], visited: Sequence[Geometry]) -> list[Swept]:
         values = [float(s.values.mean()) for s in (left, middle, right)]
         rise = values[1] - min(values)
         noise = float(np.hypot(middle.noise.mean(), max(left.noise.mean(), right.noise.mean())))
-        if values[1] == max(values) and rise > max(_CLEAR * noise, _ALIKE / 2 * values[1]):
+        if values[1] == max(values) and rise > max(_CLEAR * noise, 0.75 * _ALIKE * values[1]):
             inside = sum(middle.theta_in == g.theta_in and middle.start < g.theta_out < middle.stop for g in visited)
             if inside < _EXAMINED:
                 found.append(middle)
