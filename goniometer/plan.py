@@ -35,7 +35,7 @@ from goniometer.plan_spec import (
 )
 from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, total
 from goniometer.route import ordered
-from goniometer.sweep import Swept, searched, unexplained
+from goniometer.sweep import Swept, searched, summits, unexplained
 
 __all__ = [
     "Measured",
@@ -385,7 +385,7 @@ def _hidden(
     """Directions that search for what the pre-scan saw and the points do not explain."""
     visited = [*(p.geometry for p in measured), *pending]
     found: list[Geometry] = []
-    for reading in unexplained(known.process, swept, visited):
+    for reading in dict.fromkeys([*unexplained(known.process, swept, visited), *summits(swept, visited)]):
         there = np.array([g.theta_out for g in visited if abs(g.theta_in - reading.theta_in) <= SAME])
         place = searched(reading, there, spec.minimum_step)
         if place is not None and not place.blocked:

@@ -20,6 +20,9 @@ NODE_DISTANCE = 0.5
 _SIGNIFICANT = 4.0
 """Standard deviations by which a reading must differ from the prediction."""
 
+_CLEAR = 3.0
+"""The same of a reading and its neighbours: a needless look is cheaper than a lobe that is missed."""
+
 _ALIKE = 0.02
 """Relative difference between reading and prediction that may come from the motion."""
 
@@ -30,7 +33,7 @@ _ROUGHLY = 0.15
 """Relative difference that is left to the points where an interval has been examined."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Swept:
     """One reading of the moving detector."""
 
@@ -96,6 +99,27 @@ def unexplained(process: Interpolant, swept: Sequence[Swept], visited: Sequence[
     # The bands see the same lobe: their mean is judged, with the noise that the mean has at the most.
     score = np.abs(np.mean(read - predicted, axis=1)) / np.mean(allowed, axis=1)
     return [swept[i] for i in np.argsort(-score) if score[i] > _SIGNIFICANT]
+
+
+def summits(swept: Sequence[Swept], visited: Sequence[Geometry]) -> list[Swept]:
+    """The readings that are brighter than both their neighbours and have not been examined.
+
+    A few points on the flank of a narrow lobe can explain a reading by another lobe than the one that is there. So
+    what stands above its neighbours is examined, whether it is explained or not.
+    """
+    ordered = sorted(swept, key=lambda s: (s.theta_in, s.start))
+    found = []
+    for left, middle, right in zip(ordered, ordered[1:], ordered[2:], strict=False):
+        if not left.theta_in == middle.theta_in == right.theta_in:
+            continue
+        values = [float(s.values.mean()) for s in (left, middle, right)]
+        rise = values[1] - min(values)
+        noise = float(np.hypot(middle.noise.mean(), max(left.noise.mean(), right.noise.mean())))
+        if values[1] == max(values) and rise > max(_CLEAR * noise, 0.75 * _ALIKE * values[1]):
+            inside = sum(middle.theta_in == g.theta_in and middle.start < g.theta_out < middle.stop for g in visited)
+            if inside < _EXAMINED:
+                found.append(middle)
+    return found
 
 
 def searched(reading: Swept, visited: FloatArray, minimum_step: float) -> Geometry | None:

@@ -119,8 +119,8 @@ def main(arguments: Sequence[str]) -> None:
         swept, clear = sweep(case, random)
         rows.append((case, clear, sampled(case, swept, random), sampled(case, [], random)))
     print(f"{count} lobes at theta_in = {THETA_IN:g} degrees, {time.perf_counter() - begin:.0f} s")
-    above = [row for row in rows if row[1] > 4]
-    print(f"{len(above)} stand above the noise of the pre-scan by more than four standard deviations")
+    above = [row for row in rows if row[1] > 5]
+    print(f"{len(above)} stand above the noise of the pre-scan by more than five standard deviations")
     print(
         f"{'width':>12}{'lobes':>7}   with pre-scan: missed, points, median and worst error   without: missed, points"
     )

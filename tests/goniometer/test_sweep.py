@@ -6,7 +6,7 @@ import pytest
 from goniometer.geometry import Geometry
 from goniometer.interpolant import predict_values
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
-from goniometer.sweep import Swept, averaged, searched, swept_intervals, unexplained
+from goniometer.sweep import Swept, averaged, searched, summits, swept_intervals, unexplained
 
 SPEC = PlanSpec((30.0,), tolerance=0.005, colour_tolerance=None)
 NARROW = 1.5
@@ -82,3 +82,13 @@ def test_the_search_splits_the_largest_gap_and_ends_at_the_smallest_step():
     assert searched(reading, np.array([]), 0.2) == Geometry(30.0, 11.0)
     assert searched(reading, np.array([9.0, 11.0, 11.4]), 0.2) == Geometry(30.0, 10.5)
     assert searched(reading, np.arange(10.0, 12.1, 0.3), 0.2) is None
+
+
+def test_what_stands_above_its_neighbours_is_examined_until_three_points_lie_in_it():
+    readings = [
+        Swept(30.0, 2.0 * i, 2.0 * i + 2, np.full(2, value), np.full(2, 0.01))
+        for i, value in enumerate([1.0, 1.01, 1.0, 1.2, 1.0, 2.0, 3.0])
+    ]
+    assert summits(readings, []) == [readings[3]]
+    assert summits(readings[::-1], [Geometry(30.0, 6.5), Geometry(30.0, 7.0)]) == [readings[3]]
+    assert summits(readings, [Geometry(30.0, x) for x in (6.5, 7.0, 7.5)]) == []
