@@ -57,8 +57,8 @@ def scores(seed: int, watched: bool) -> list[Scores]:
         seed=seed,
         samples=tuple(Sample(name=name, material=name) for name in SAMPLES),
         incident=(10.0, 40.0, 70.0),
-        resolution=Resolution(coarse_step=30.0, tolerance=0.3),
-        reference=Reference(step=30.0),
+        resolution=Resolution(coarse_step=20.0, tolerance=0.1),
+        reference=Reference(step=20.0),
         monitor=Monitor() if watched else None,
         stray_light=watched,
     )
