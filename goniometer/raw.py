@@ -108,6 +108,8 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
     campaign = store.campaign(scan.campaign_id)
     diameters = {sample.name: sample.diameter for sample in campaign.samples}
     of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in ("light", "dark", "stray", "monitor")}
+    # while a scan goes on, another point may have been finished since the points were read
+    light = [e for e in of_kind["light"] if e.point_id in number]
     return RawScan(
         scan_id=scan_id,
         sample=scan.sample,
@@ -116,7 +118,7 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
         constants=store.constants(scan_id),
         planned=tuple(p.geometry for p in points),
         read_back=tuple(p.read_back for p in points if p.read_back is not None),
-        shots=tuple(_shots(of_kind["light"], number)),
+        shots=tuple(_shots(light, number)),
         darks=tuple(_darks(of_kind["dark"])),
         stray=tuple(_shots(of_kind["stray"], number)),
         monitors=tuple(_shots(of_kind["monitor"], number)),

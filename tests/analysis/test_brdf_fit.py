@@ -186,7 +186,7 @@ def test_wavelengths_beyond_the_metal_and_too_few_points_are_refused(measure: Me
     dataset = measure(*SAMPLES[1], incident=(0,))
     with pytest.raises(OutOfRange):
         shift_fit(replace(dataset, wavelengths=dataset.wavelengths + 100))
-    with pytest.raises(FitError, match="left out: footprint leaves the sample"):
+    with pytest.raises(FitError, match="left out of all fits: footprint leaves the sample"):
         cook_torrance_fit(replace(dataset, flags=np.full_like(dataset.flags, Flag.CLIPPED)))
 
 

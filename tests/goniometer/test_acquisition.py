@@ -25,7 +25,7 @@ CAMPAIGN = Campaign(
     seed=3,
     samples=(Sample(name="Rough", material="sample-1"),),
     incident=(30.0,),
-    resolution=Resolution(mode="uniform", step=45.0),
+    resolution=Resolution(mode="uniform", step=11.5),
     reference=NOMINAL_PANEL,
     monitor=None,
     stray_light=False,
@@ -411,7 +411,7 @@ def test_a_spot_that_fails_costs_its_sample_no_dataset_and_is_in_it_when_it_was_
 
 
 def test_nobody_is_asked_to_mount_another_spot_that_could_be_compared_with_nothing(store, caplog, monkeypatch):
-    monkeypatch.setattr("goniometer.scheduler.spot_points", lambda measured, count: [])
+    monkeypatch.setattr("goniometer.batches.spot_points", lambda measured, count: [])
     finished = []
     with caplog.at_level(logging.WARNING, logger="goniometer.scheduler"):
         asyncio.run(run(store, changed(homogeneity=Homogeneity()), finished=finished.append))

@@ -234,7 +234,7 @@ def dataset(theta_in, theta_out, wavelengths, missing=()):
         brdf[point, wavelength] = np.nan
     source = ErrorSource("shot noise", "counts", 0.004 * np.nan_to_num(brdf), None, False)
     flags = np.zeros(theta_in.size, dtype=np.uint16)
-    return Dataset("s", theta_in, theta_out, wavelengths, brdf, (source,), flags, 0.01, 1.0)
+    return Dataset("s", theta_in, theta_out, wavelengths, brdf, (source,), flags, 0.01, 0.01, 1.0)
 
 
 def test_a_dataset_is_read_between_its_points_at_all_wavelengths_and_says_how_well():

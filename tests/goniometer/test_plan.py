@@ -251,10 +251,10 @@ def test_the_campaign_decides_what_is_sampled():
             "samples": [Sample(name="s", material="m")],
             "incident": [20, 10],
             "outgoing": {"start": -40, "stop": 60},
-            "resolution": {"tolerance": 0.1, "coarse_step": 20, "minimum_step": 2},
+            "resolution": {"tolerance": 0.1, "step": 20, "minimum_step": 2, "points": 50, "time": "2 min"},
         }
     )
     spec = plan_spec(campaign)
-    assert spec == PlanSpec((10.0, 20.0), -40.0, 60.0, 0.1, 20.0, 2.0)
+    assert spec == PlanSpec((10.0, 20.0), -40.0, 60.0, 0.1, 20.0, 2.0, most_points=50, most_seconds=120.0)
     assert {g.theta_in for g in next_points(spec, [])} == {10.0, 20.0}
     assert max(g.theta_out for g in next_points(spec, [])) == 60
