@@ -57,12 +57,16 @@ class Batches:
         return self.next(points), self._expected(points)
 
     def next(self, points: list[Point]) -> list[Geometry]:
-        """The next batch when `points` are finished, the last one perhaps not yet; empty when the scan is complete."""
+        """The next batch when `points` are finished; empty when the scan is complete.
+
+        The last point may be under way: then empty means that nothing can be said before it is finished.
+        """
         if self.scan.kind == "sample":
             seen = self._measured(self.scan, points[:-1])
             batch = next_points(self.spec, seen, pending=[p.geometry for p in points[-1:]])
-            # whether the sampling is complete is for all points to say
-            return batch or (next_points(self.spec, self._measured(self.scan, points)) if points else [])
+            if batch or not points or points[-1].status not in _FINISHED:
+                return batch
+            return next_points(self.spec, self._measured(self.scan, points))
         if points:
             return []
         if self.scan.kind == "reference":

@@ -251,12 +251,12 @@ class _Run:
         points = self.store.points(self.scan.id)
         pending = [p for p in points if p.status == "pending"]
         if not pending:
-            batch, self.foreseen = self.ahead or self.batches.look(points)
+            batch, self.foreseen = self.ahead if self.ahead and self.ahead[0] else self.batches.look(points)
             if batch:
                 self.store.add_points(self.scan.id, batch)
             pending = [p for p in self.store.points(self.scan.id) if p.status == "pending"]
         self.ahead = None
-        self.expected = max(self.foreseen, len(points), self.done + len(pending))
+        self.expected = max(self.foreseen, self.done + len(pending)) if pending else self.done
         return pending
 
     async def _attempt_last(self, point: Point) -> DriverError | GeometryError | None:

@@ -254,7 +254,7 @@ def test_a_bench_whose_arm_cannot_stand_before_the_source_measures_without_stray
 
 def test_the_lamp_is_looked_at_when_a_scan_begins_and_ends_and_as_often_as_was_asked_between(store):
     lamp = Imperfections(lamp_drift=0.02)
-    campaign = changed(monitor=Monitor(every=300.0), resolution=Resolution(mode="uniform", step=10.0))
+    campaign = changed(monitor=Monitor(every=300.0), resolution=Resolution(mode="uniform", step=6.0))
     asyncio.run(run(store, campaign, imperfections=lamp))
     for scan in store.scans():
         raw = read_raw(store, scan.id)
@@ -351,7 +351,7 @@ def test_another_spot_is_measured_in_some_directions_of_the_sample_before_it_is_
     events = []
 
     async def work():
-        campaign = changed(homogeneity=Homogeneity(points=4), resolution=Resolution(mode="uniform", step=20.0))
+        campaign = changed(homogeneity=Homogeneity(points=4), resolution=Resolution())
         async with bench(3) as (instrument, mount, _):
 
             async def noted(scan):
