@@ -20,10 +20,10 @@ from api.cli_characterise import register as add_characterisations
 from api.cli_quality import register as add_quality
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
-from api.derive import Export, slug
+from api.derive import Export, slug, write_text
 from api.display import duration, progress_display
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
-from api.preview import preview
+from api.preview import drawing, preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
@@ -31,6 +31,7 @@ from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
 from goniometer.errors import GoniometerError
+from goniometer.plan_spec import ORDINARY
 from goniometer.records import Command
 from goniometer.store import Store
 
@@ -139,15 +140,27 @@ def _show(samples: list[SampleOutcome]) -> None:
 
 
 @app.command()
-def plan(campaign: CampaignFile, as_json: AsJson = False) -> None:
+def plan(
+    campaign: CampaignFile,
+    instrument: Annotated[
+        Path | None, typer.Option(help="Instrument file (TOML), for the speed of its stages.")
+    ] = None,
+    path: Annotated[Path | None, typer.Option("--output", "-o", help="Drawing to write, .svg.")] = None,
+    as_json: AsJson = False,
+) -> None:
     """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
-    found = preview(load_campaign(campaign))
+    wanted = load_campaign(campaign)
+    motion = ORDINARY if instrument is None else load_instrument(instrument).motion
+    found = preview(wanted, motion)
+    written = None if path is None else write_text("svg", path, drawing(wanted, motion)).path
     if as_json:
-        emit(asdict(found))
+        emit(asdict(found) | {"path": None if written is None else str(written)})
         return
     out = Console()
     for line in found.lines():
         out.print(line, markup=False, highlight=False)
+    if written is not None:
+        out.print(f"Wrote {written}", markup=False, highlight=False)
 
 
 @app.command()

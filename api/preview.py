@@ -1,13 +1,16 @@
 """What a campaign will do, told before anything moves."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from analysis.budget_figure import side_by_side
+from analysis.plan_figure import arm_view, polar_view
 from api.display import duration
 from goniometer.campaign import Campaign, Integration
 from goniometer.duration import EARLIER, Expected, expected
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.plan_spec import ORDINARY
 from goniometer.route import Motion, travel
 
 
@@ -69,11 +72,15 @@ class Preview:
         return told
 
 
-def preview(campaign: Campaign, motion: Motion | None = None) -> Preview:
+def drawing(campaign: Campaign, motion: Motion = ORDINARY) -> str:
+    """The certain directions of a sample as one SVG: around the sample, and as the way of the arm."""
+    first = next_points(plan_spec(campaign, motion), [])
+    return side_by_side([polar_view(first, "polar"), arm_view(first, "arm")])
+
+
+def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     """Preview of `campaign` on a bench that moves like `motion`; touches no device."""
-    spec = plan_spec(campaign)
-    if motion is not None:
-        spec = replace(spec, motion=motion)
+    spec = plan_spec(campaign, motion)
     panel = reference_points(spec, campaign.reference.step)
     reference = _leg("reference panel", panel, len(panel), spec, campaign.integration, campaign.reference.scans)
     first = next_points(spec, [])

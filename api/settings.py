@@ -25,6 +25,7 @@ from drivers.smc100 import SMC100
 from drivers.stage import Mounting
 from goniometer.constants import BenchData
 from goniometer.errors import ConfigurationError
+from goniometer.route import Motion, StageMotion
 from goniometer.safety import Forbidden
 from goniometer.wording import key_path, nearest
 
@@ -232,6 +233,10 @@ _TABLES: dict[str, type[_Strict]] = {
 }
 
 
+ORDINARY = StageMotion()
+"""A stage of ordinary speed."""
+
+
 class InstrumentSettings(_Strict):
     """The whole bench."""
 
@@ -240,6 +245,17 @@ class InstrumentSettings(_Strict):
     geometry: GeometrySettings = GeometrySettings()
     light: LightSettings = LightSettings()
     forbidden: tuple[ForbiddenSettings, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        """How the stages move where the file says it; one that moves as its controller is configured is ordinary."""
+        sample, detector = (
+            StageMotion(
+                getattr(stage, "velocity", ORDINARY.velocity), getattr(stage, "acceleration", ORDINARY.acceleration)
+            )
+            for stage in (self.stages.sample, self.stages.detector)
+        )
+        return Motion(sample, detector)
 
     @property
     def bench_data(self) -> BenchData:

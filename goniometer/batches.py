@@ -26,7 +26,7 @@ from goniometer.records import Point, Scan
 from goniometer.response import Response, response
 from goniometer.store import Store
 
-TYPICAL_REFINEMENT = 1.8
+TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse pass, before anything is known about it."""
 
 _FINISHED = {"done", "failed", "skipped"}

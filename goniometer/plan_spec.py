@@ -18,6 +18,9 @@ OFFSETS = (1.0, 2.5, 6.0, 14.0, 30.0)
 ORDINARY = Motion()
 """A bench of ordinary speed."""
 
+LEAST_COARSE = 7
+"""Directions of a coarse pass over all incident angles, at the least, if they may lie so close."""
+
 SAME = 1e-6
 """Degrees below which two planned angles are the same."""
 
@@ -156,7 +159,25 @@ def coarse(spec: PlanSpec) -> list[Geometry]:
             _, a, b = max(gaps)
             angles.append(round((a + b) / 2, 2))
         found += [Geometry(t, a) for a in sorted(angles)]
-    return found
+    return sorted([*found, *_halved(spec, found)])
+
+
+def _halved(spec: PlanSpec, found: list[Geometry]) -> list[Geometry]:
+    """Middles of the widest gaps between `found`, until there is enough to learn from, however narrow the range."""
+    middles: list[Geometry] = []
+    while len(found) + len(middles) < LEAST_COARSE:
+        rows = {t: sorted(g.theta_out for g in [*found, *middles] if g.theta_in == t) for t in spec.theta_in}
+        gaps = [
+            (b - a, t, (a + b) / 2)
+            for t, angles in rows.items()
+            for low, high in segments(spec, t)
+            for a, b in _pairs(angles, low, high)
+        ]
+        widest = max(gaps, default=(0.0, 0.0, 0.0))
+        if widest[0] < 2 * spec.minimum_step:
+            break
+        middles.append(Geometry(widest[1], widest[2]))
+    return middles
 
 
 def _pairs(angles: list[float], low: float, high: float) -> list[tuple[float, float]]:

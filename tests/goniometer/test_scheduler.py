@@ -109,8 +109,11 @@ def test_progress_counts_up_to_what_was_expected(undisturbed):
         assert mine[-1].fraction == 1
         assert mine[-1].bench_remaining == 0
         assert all(a.done <= b.done for a, b in pairwise(mine))
-        halfway = mine[len(mine) // 2]
-        assert halfway.bench_remaining == pytest.approx(mine[-1].bench_elapsed - halfway.bench_elapsed, rel=0.6)
+        if kind == "reference":  # how many points a sample will have is a guess until its coarse pass is done
+            halfway = mine[len(mine) // 2]
+            assert halfway.bench_remaining == pytest.approx(mine[-1].bench_elapsed - halfway.bench_elapsed, rel=0.6)
+        else:
+            assert mine[0].expected == pytest.approx(mine[-1].done, rel=0.3)
 
 
 def test_a_completed_campaign_is_not_repeated(undisturbed, tmp_path):
