@@ -3,7 +3,7 @@
 Figure numbers are those of Clausen et al. 2022. Every function takes a `name` that is unique in the page.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from analysis.results import LocalFit, ModelFit
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import incidence_groups
+from goniometer.between import FEWEST, interpolate
 from goniometer.budget import COVERAGE_FACTOR
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH
@@ -200,23 +201,62 @@ def _map(
 def distributions(dataset: Dataset, name: str, wavelength: float = 600.0) -> str:
     """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
 
-    Values that are not positive are left out; bands are expanded uncertainties. Gaps are the blocked sector.
+    Dots are measured values, lines are read between them (`goniometer.between`), straight where the points are too few
+    for that. Bands are expanded uncertainties of both. Values that are not positive are left out; gaps are the blocked
+    sector.
     """
     f, u = at_wavelength(dataset, wavelength)
+    enough = np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
+    read = _between(dataset, wavelength) if enough else {}
     with style():
         figure, axes = new_axes(430, 300, right=62, top=10)
         for (angle, order), colour in _by_incidence(dataset):
             theta, value, u_value = dataset.theta_out[order], f[order], u[order]
+            axes.plot(theta, np.where(value > 0, value, np.nan), "o", color=colour, markersize=1.8)
+            theta, value, u_value = read.get(angle, (theta, value, u_value))
             theta, value, u_value = _with_gap(-angle, theta, np.where(value > 0, value, np.nan), u_value)
             low = np.maximum(value - COVERAGE * u_value, 0.5 * value)
             axes.fill_between(theta, low, value + COVERAGE * u_value, color=colour, alpha=0.25, linewidth=0)
-            axes.plot(theta, value, color=colour, linewidth=1.2, marker="o", markersize=1.8, label=f"{angle:.0f}°")
+            axes.plot(theta, value, color=colour, linewidth=1.2, label=f"{angle:.0f}°")
         axes.set(yscale="log", xlim=_MAP_LIMITS, xticks=range(-90, 91, 30))
         axes.set(xlabel="reflected angle θ out / °", ylabel=f"BRDF at {wavelength:g} nm / (1/sr)")
         axes.yaxis.set_major_formatter(_power_of_ten)
         axes.grid(True)
         axes.legend(title="θ in", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.2)
         return to_svg(figure, name, f"BRDF at {wavelength:g} nm over the reflected angle, one line an incident angle")
+
+
+def _between(dataset: Dataset, wavelength: float) -> dict[float, tuple[FloatArray, FloatArray, FloatArray]]:
+    """For each incident angle theta_out every half degree, and the BRDF and its standard uncertainty there.
+
+    To the uncertainty of reading between points comes that of the points themselves, which all of them may share.
+    """
+    rows = {angle: dataset.theta_out[order] for (angle, order), _ in _by_incidence(dataset)}
+    grids = {}
+    for angle, measured in rows.items():
+        theta = np.union1d(measured, np.arange(np.ceil(measured[0]), measured[-1], 0.5))
+        grids[angle] = theta[np.abs(theta + angle) >= BLOCKED_HALF_WIDTH - 0.1]
+    near = _at_wavelengths(dataset, wavelength)
+    everywhere = np.concatenate([np.full(theta.size, angle) for angle, theta in grids.items()])
+    read = interpolate(near, everywhere, np.concatenate(list(grids.values())))
+    middle = near.wavelengths.size // 2
+    relative = near.u[:, middle] / np.abs(near.brdf[:, middle])
+    found = {}
+    for (angle, order), _ in _by_incidence(dataset):
+        mine = everywhere == angle
+        known = order[np.isfinite(relative[order])]
+        value = read.brdf[mine, middle]
+        shared = np.interp(grids[angle], dataset.theta_out[known], relative[known]) if known.size else np.nan
+        found[angle] = grids[angle], value, np.hypot(read.u[mine, middle], value * shared)
+    return found
+
+
+def _at_wavelengths(dataset: Dataset, wavelength: float) -> Dataset:
+    """The few wavelengths of a dataset around one, nm."""
+    middle = int(np.argmin(np.abs(dataset.wavelengths - wavelength)))
+    some = slice(max(middle - 2, 0), middle + 3)
+    sources = tuple(replace(source, values=source.values[:, some]) for source in dataset.sources)
+    return replace(dataset, wavelengths=dataset.wavelengths[some], brdf=dataset.brdf[:, some], sources=sources)
 
 
 def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0, count: int = 7) -> str:

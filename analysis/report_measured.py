@@ -29,7 +29,8 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
         + '<div class="pair"><div><h3>Where the light goes</h3>'
         + figure(
             [figures.distributions(dataset, "distributions")],
-            "BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are measurements. Bands are "
+            "BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are measurements, lines are "
+            "read between them by a process that knows how well it can. Bands are "
             f"expanded uncertainties (coverage factor {figures.COVERAGE}) and mostly thinner than the lines. Lines "
             "break where the detector blocks the source.",
         )
