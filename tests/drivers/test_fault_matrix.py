@@ -22,7 +22,7 @@ CAMPAIGN = Campaign(
     samples=(Sample(name="Rough", material="sample-1"),),
     incident=(10.0, 40.0),
     outgoing=OutgoingRange(start=-60.0, stop=60.0),
-    resolution=Resolution(mode="uniform", step=45.0),
+    resolution=Resolution(mode="uniform", step=15.0),
     reference=Reference(step=45.0, scans=1),
     integration=Integration(scans=2),
     monitor=None,
