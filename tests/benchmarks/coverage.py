@@ -57,7 +57,7 @@ def scores(seed: int, watched: bool) -> list[Scores]:
         seed=seed,
         samples=tuple(Sample(name=name, material=name) for name in SAMPLES),
         incident=(10.0, 40.0, 70.0),
-        resolution=Resolution(points=36),
+        resolution=Resolution(mode="uniform", step=10.0),
         reference=Reference(step=20.0),
         monitor=Monitor() if watched else None,
         stray_light=watched,
