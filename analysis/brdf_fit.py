@@ -17,10 +17,10 @@ from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from analysis.identify import LARGEST_RESIDUAL_RATIO, Evidence, judge, lobe_width
 from analysis.models import LAMBDA_N, cosine_slope, ggx_lobe, measured_cook_torrance, shift, shift_is_clamped, theta_m
 from analysis.noise import flag_sentences
-from analysis.propagation import SAME_INCIDENCE, correlation, covariance_by_part, errors_by_part, errors_of_data
+from analysis.propagation import correlation, covariance_by_part, errors_by_part, errors_of_data
 from analysis.results import ModelFit, Parameter
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.angular import incidence_groups
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, combined, everywhere
 

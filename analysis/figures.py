@@ -12,11 +12,10 @@ from analysis.colour import brdf_to_rgb, display_encoded
 from analysis.models import cosine_slope
 from analysis.noise import at_wavelength, clear_of_noise, flag_words, hue_is_known
 from analysis.notation import with_uncertainty
-from analysis.propagation import SAME_INCIDENCE
 from analysis.results import LocalFit, ModelFit
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.angular import incidence_groups
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.between import FEWEST, interpolate
 from goniometer.budget import COVERAGE_FACTOR
 from goniometer.dataset import Dataset

@@ -11,9 +11,6 @@ from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import PARTS, ErrorSource, covariance_by_source
 
-SAME_INCIDENCE = 0.05
-"""Read-back incident angles closer than this belong to one position of the sample stage, degrees."""
-
 
 def errors_of_data(dataset: Dataset, points: BoolArray, factor: FloatArray) -> tuple[ErrorSource, ...]:
     """The dataset's sources at some points, as errors of data = `factor` x BRDF.

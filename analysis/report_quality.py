@@ -6,9 +6,8 @@ import numpy as np
 
 from analysis.budget_figure import PANELS, budget_panels, budget_table
 from analysis.page import bullets, figure
-from analysis.propagation import SAME_INCIDENCE
 from drivers.arrays import BoolArray
-from goniometer.angular import incidence_groups
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.budget import USUAL_INCIDENT, USUAL_WAVELENGTH, budget, usual_direction
 from goniometer.dataset import IN_FITS, MEANING, Check, Dataset, Flag
 from goniometer.errors import GeometryError, InputError

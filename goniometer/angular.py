@@ -13,6 +13,9 @@ from scipy.ndimage import uniform_filter1d
 from drivers.arrays import FloatArray
 from goniometer.uncertainty import Groups
 
+SAME_INCIDENCE = 0.05
+"""Incident angles closer than this belong to one position of the sample stage, degrees."""
+
 SMOOTHED_WAVELENGTHS = 21
 """Wavelengths over which the derivatives of ln f are averaged."""
 

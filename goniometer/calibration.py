@@ -24,6 +24,7 @@ from goniometer.certificate import NOMINAL_SRS99, Override, PanelCertificate, ch
 from goniometer.certificate_file import parse_certificate
 from goniometer.checks import checks, noise_flags
 from goniometer.dataset import Dataset, Flag
+from goniometer.derived import software_version
 from goniometer.drift import LampBetween, LampDrift, factor, lamp_between, lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.footprint import CLIPPED_BELOW, share_on_sample
@@ -41,7 +42,7 @@ from goniometer.response import (
 )
 from goniometer.signal import Signal, signal
 from goniometer.sources import Chain, Sums, error_sources
-from goniometer.store import Store, software_version
+from goniometer.store import Store
 
 BANDS = ((430.0, 470.0), (530.0, 570.0), (630.0, 670.0), (780.0, 820.0))
 """Wavelength bands, nm, whose averages tell the plan where to measure."""

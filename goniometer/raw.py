@@ -8,6 +8,7 @@ from itertools import groupby
 import numpy as np
 
 from drivers.arrays import CountArray
+from goniometer.angular import SAME_INCIDENCE
 from goniometer.constants import Constants
 from goniometer.geometry import Geometry
 from goniometer.records import Exposure
@@ -73,10 +74,6 @@ class RawScan:
     """With the detector in front of the source, where it sees stray light only."""
     monitors: tuple[Shot, ...] = ()
     """In one direction that is visited again and again, to see the lamp drift; in the order of time."""
-
-
-SAME_INCIDENCE = 0.05
-"""Degrees within which the sample stage need not have moved from one shot to the next."""
 
 
 def sample_visits(raw: RawScan) -> Groups:

@@ -7,8 +7,6 @@ written together or not at all.
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -19,12 +17,11 @@ from goniometer import tables
 from goniometer.campaign import Campaign
 from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
-from goniometer.database import Database, insert_row
-from goniometer.dataset import Dataset
+from goniometer.database import insert_row
+from goniometer.derived import Derived
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry
 from goniometer.records import (
-    Characterisation,
     Command,
     Exposure,
     ExposureKind,
@@ -32,13 +29,10 @@ from goniometer.records import (
     Phase,
     Point,
     Scan,
-    StoredText,
     constants_json,
     exposure_row,
     now,
-    pack_dataset,
     to_constants,
-    to_dataset,
     to_exposure,
     to_point,
     to_scan,
@@ -47,12 +41,7 @@ from goniometer.records import (
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 
 
-def software_version() -> str:
-    """Version of this program, as written beside everything derived."""
-    return version("goniometer")
-
-
-class Store(Database):
+class Store(Derived):
     """An open database; `Store.open` makes one."""
 
     # Campaigns and scans
@@ -351,108 +340,3 @@ class Store(Database):
         """All raw exposures of a scan, darks included, in the order in which they were written."""
         query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
         return [to_exposure(row) for row in self._all(query)]
-
-    # Derived rows: only ever added
-
-    def add_dataset(self, scan_id: int, dataset: Dataset, certificate: str | None = None) -> int:
-        """Write a calibrated dataset and return its id.
-
-        `certificate` is the text of that it was calibrated with, None for that of its campaign.
-        """
-        with self._writing() as connection:
-            return insert_row(
-                connection,
-                tables.datasets,
-                scan_id=scan_id,
-                sample=dataset.sample,
-                arrays=pack_dataset(dataset),
-                checks=json.dumps([asdict(check) for check in dataset.checks]),
-                certificate=certificate,
-                lineage=json.dumps(dataset.lineage, sort_keys=True),
-                content_hash=dataset.content_hash,
-                software_version=software_version(),
-                created=now(),
-            )
-
-    def dataset(self, dataset_id: int) -> Dataset:
-        """A calibrated dataset, bit for bit as it was written; raises `NotInStore`."""
-        row = self._one(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
-        return to_dataset(row)
-
-    def lineage(self, dataset_id: int) -> dict[str, object]:
-        """What a dataset was derived from, without its numbers; raises `NotInStore`."""
-        query = select(tables.datasets.c.lineage).where(tables.datasets.c.id == dataset_id)
-        lineage: dict[str, object] = json.loads(self._one(query, f"dataset {dataset_id}").lineage)
-        return lineage
-
-    def dataset_certificate(self, dataset_id: int) -> str | None:
-        """Text of the certificate of a dataset, None where it is that of its campaign; raises `NotInStore`."""
-        query = select(tables.datasets.c.certificate).where(tables.datasets.c.id == dataset_id)
-        text: str | None = self._one(query, f"dataset {dataset_id}").certificate
-        return text
-
-    def datasets(self, scan_id: int | None = None) -> dict[int, int]:
-        """Scan id of every dataset (of one scan) by its id, oldest first."""
-        table = tables.datasets
-        query = select(table.c.id, table.c.scan_id).order_by(table.c.id)
-        if scan_id is not None:
-            query = query.where(table.c.scan_id == scan_id)
-        return {row.id: row.scan_id for row in self._all(query)}
-
-    def add_fit(self, dataset_id: int, model: str, text: str) -> int:
-        """Write a fit of a dataset as JSON and return its id."""
-        with self._writing() as connection:
-            return insert_row(
-                connection,
-                tables.fits,
-                dataset_id=dataset_id,
-                model=model,
-                json=text,
-                software_version=software_version(),
-                created=now(),
-            )
-
-    def fits(self, dataset_id: int) -> list[StoredText]:
-        """All fits of a dataset, oldest first."""
-        query = select(tables.fits).where(tables.fits.c.dataset_id == dataset_id).order_by(tables.fits.c.id)
-        return [StoredText(row.id, row.dataset_id, row.model, row.json) for row in self._all(query)]
-
-    def add_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> int:
-        """Note that a file was written from a dataset; returns the export's id."""
-        with self._writing() as connection:
-            return insert_row(
-                connection,
-                tables.exports,
-                dataset_id=dataset_id,
-                path=str(path),
-                format=file_format,
-                sha256=sha256,
-                created=now(),
-            )
-
-    def exports(self, dataset_id: int) -> list[StoredText]:
-        """All files written from a dataset, oldest first."""
-        query = select(tables.exports).where(tables.exports.c.dataset_id == dataset_id).order_by(tables.exports.c.id)
-        return [StoredText(row.id, row.dataset_id, row.format, row.path) for row in self._all(query)]
-
-    # The bench itself
-
-    def add_characterisation(self, kind: str, text: str) -> int:
-        """Write what was measured of the bench itself, as JSON, and return its id."""
-        with self._writing() as connection:
-            return insert_row(
-                connection,
-                tables.characterisations,
-                kind=kind,
-                json=text,
-                software_version=software_version(),
-                created=now(),
-            )
-
-    def characterisations(self, kind: str | None = None) -> list[Characterisation]:
-        """What was measured of the bench itself (of one kind), oldest first."""
-        table = tables.characterisations
-        query = select(table).order_by(table.c.id)
-        if kind is not None:
-            query = query.where(table.c.kind == kind)
-        return [Characterisation(row.id, row.kind, row.json, row.created) for row in self._all(query)]
