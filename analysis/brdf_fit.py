@@ -15,7 +15,7 @@ from analysis.directions import Aperture, Directions, in_plane, round_aperture, 
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from analysis.identify import LARGEST_RESIDUAL_RATIO, Evidence, judge, lobe_width
-from analysis.models import LAMBDA_N, cosine_slope, ggx_lobe, measured_cook_torrance, shift, shift_is_clamped, theta_m
+from analysis.models import LAMBDA_N, cosine_slope, measured_cook_torrance, microfacet, shift_is_clamped, theta_m
 from analysis.noise import flag_sentences
 from analysis.propagation import correlation, covariance_by_part, errors_by_part, errors_of_data
 from analysis.results import ModelFit, Parameter
@@ -58,13 +58,9 @@ class _View:
 
     def log_model(self, alpha: float, h: float, w: float) -> FloatArray:
         """[points, wavelengths] ln(1 + cos(theta_in) f), f as `measured_cook_torrance`."""
-        lobe = ggx_lobe(self.directions, alpha) * self.aperture.weights
-        total = lobe.sum(axis=-1)
-        value = self.cos_in * total[:, None] * self.fresnel
-        if h != 0:
-            slope = (lobe * cosine_slope(self.theta_m, h, w)).sum(axis=-1) / np.where(total > 0, total, 1.0)
-            value = value * shift(slope, self.wavelengths)
-        return np.asarray(np.log1p(value))
+        slope = cosine_slope(self.theta_m, h, w) if h != 0 else None
+        brdf = microfacet(self.directions, self.wavelengths, alpha, self.fresnel, slope, weights=self.aperture.weights)
+        return np.asarray(np.log1p(self.cos_in * brdf))
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """What can go wrong in analysis.
 
 AnalysisError
-├── OutOfRange     a wavelength or direction that a model or its data does not cover
-├── FitError       data that cannot be fitted
-└── ExportError    a result that cannot be written in the wanted format
+├── OutOfRange         a wavelength, direction or parameter that a model or its data does not cover
+├── UnknownConductor   a metal that the tables do not have (exit code 2)
+├── FitError           data that cannot be fitted
+└── ExportError        a result that cannot be written in the wanted format
 
 Every message is one sentence that says what is wrong, where, and what would be right.
 """
@@ -16,7 +17,13 @@ class AnalysisError(Exception):
 
 
 class OutOfRange(AnalysisError):
-    """A wavelength or direction that a model or its data does not cover."""
+    """A wavelength, direction or parameter that a model or its data does not cover."""
+
+
+class UnknownConductor(AnalysisError):
+    """A metal that the tables of refractive indices do not have."""
+
+    exit_code = 2
 
 
 class FitError(AnalysisError):

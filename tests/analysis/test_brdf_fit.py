@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from analysis.brdf_fit import cook_torrance_fit, shift_fit
+from analysis.distributions import ndf
 from analysis.errors import FitError, OutOfRange
 from analysis.identify import lobe_width
-from analysis.models import ggx_ndf
 from goniometer.dataset import Dataset, Flag
 
 Measure = Callable[..., Dataset]
@@ -193,5 +193,5 @@ def test_wavelengths_beyond_the_metal_and_too_few_points_are_refused(measure: Me
 @pytest.mark.parametrize("alpha", [0.0045, 0.1, 0.4])
 def test_lobe_width_is_where_the_distribution_halves(alpha: float) -> None:
     half_angle = np.radians(lobe_width(alpha) / 4)
-    ratio = ggx_ndf(np.array([np.cos(half_angle)]), alpha) / ggx_ndf(np.array([1.0]), alpha)
+    ratio = ndf(np.array([np.cos(half_angle)]), alpha) / ndf(np.array([1.0]), alpha)
     assert ratio[0] == pytest.approx(0.5, abs=1e-9)

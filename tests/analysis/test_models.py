@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 
 from analysis.directions import in_plane, round_aperture, through_aperture
+from analysis.distributions import g1, ndf
 from analysis.errors import OutOfRange
 from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.models import (
-    cook_torrance,
-    cosine_slope,
-    ggx_g1,
-    ggx_ndf,
-    measured_cook_torrance,
-    shift,
-    shift_is_clamped,
-    theta_m,
-)
+from analysis.models import cook_torrance, cosine_slope, measured_cook_torrance, shift, shift_is_clamped, theta_m
 
 
 def test_aluminium_reflects_as_cheng_2016_says() -> None:
@@ -41,13 +33,13 @@ def test_ggx_normals_project_onto_the_unit_area(alpha: float) -> None:
     s = np.linspace(0, np.pi / 2, 20001)[1:-1]
     theta = np.arctan(alpha * np.tan(s))
     dtheta = alpha / np.cos(s) ** 2 / (1 + (alpha * np.tan(s)) ** 2)
-    integrand = ggx_ndf(np.cos(theta), alpha) * np.cos(theta) * 2 * np.pi * np.sin(theta) * dtheta
+    integrand = ndf(np.cos(theta), alpha) * np.cos(theta) * 2 * np.pi * np.sin(theta) * dtheta
     assert np.trapezoid(integrand, s) == pytest.approx(1, abs=1e-6)
 
 
 def test_masking_is_one_at_normal_incidence_and_none_at_the_horizon() -> None:
-    assert ggx_g1(np.array([1.0]), 0.3)[0] == pytest.approx(1)
-    assert ggx_g1(np.array([1e-6]), 0.3)[0] == pytest.approx(0, abs=1e-5)
+    assert g1(np.array([1.0]), 0.3)[0] == pytest.approx(1)
+    assert g1(np.array([1e-6]), 0.3)[0] == pytest.approx(0, abs=1e-5)
 
 
 def test_half_vector_angle_in_plane_is_half_the_difference_of_the_signed_angles() -> None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.directions import in_plane, round_aperture, through_aperture
+from analysis.distributions import g1, ndf
 from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.models import cosine_slope, ggx_g1, ggx_ndf, shift, theta_m
+from analysis.models import cosine_slope, shift, theta_m
 from drivers.arrays import FloatArray
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])
@@ -36,7 +37,7 @@ class Truth:
         through = through_aperture(theta_in, theta_out, _APERTURE)
         ci, co = through.cos_i, np.maximum(through.cos_o, 1e-6)
         angle = 0.5 * (theta_out - theta_in)[:, None] + 0.5 * _APERTURE.along
-        lobe = self.distribution(through.cos_m, angle) * ggx_g1(ci, self.alpha) * ggx_g1(co, self.alpha) / (4 * ci * co)
+        lobe = self.distribution(through.cos_m, angle) * g1(ci, self.alpha) * g1(co, self.alpha) / (4 * ci * co)
         lobe = np.where(through.cos_o > 0, lobe, 0.0) @ _APERTURE.weights
         lobe = lobe + self.retro * np.exp(-(((theta_in + theta_out) / 16) ** 2))
         centre = in_plane(theta_in, theta_out)
@@ -46,7 +47,7 @@ class Truth:
 
 
 def _ggx(alpha: float, h: float = 0.0, w: float = 0.0) -> Truth:
-    return Truth(lambda cosine, _: ggx_ndf(cosine, alpha), alpha, h, w)
+    return Truth(lambda cosine, _: ndf(cosine, alpha), alpha, h, w)
 
 
 def _beckmann(cos_m: FloatArray, alpha: float) -> FloatArray:
@@ -56,22 +57,22 @@ def _beckmann(cos_m: FloatArray, alpha: float) -> FloatArray:
 
 
 def _two(cosine: FloatArray, _: FloatArray) -> FloatArray:
-    return 0.3 * ggx_ndf(cosine, 0.03) + 0.7 * ggx_ndf(cosine, 0.3)
+    return 0.3 * ndf(cosine, 0.03) + 0.7 * ndf(cosine, 0.3)
 
 
 def _mixture(cosine: FloatArray, _: FloatArray) -> FloatArray:
-    return 0.5 * ggx_ndf(cosine, 0.1) + 0.5 * _beckmann(cosine, 0.3)
+    return 0.5 * ndf(cosine, 0.1) + 0.5 * _beckmann(cosine, 0.3)
 
 
 def _halo(cosine: FloatArray, _: FloatArray) -> FloatArray:
     """A lobe with a bright ring around it."""
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    return np.asarray(ggx_ndf(cosine, 0.05) + 6.0 * np.exp(-(((angle - 12.0) / 2.0) ** 2)))
+    return np.asarray(ndf(cosine, 0.05) + 6.0 * np.exp(-(((angle - 12.0) / 2.0) ** 2)))
 
 
 def _lopsided(cosine: FloatArray, angle: FloatArray) -> FloatArray:
     """A lobe that is twice as strong on one side as on the other, as of a brushed sheet: no symmetry holds."""
-    return np.asarray(ggx_ndf(cosine, 0.15) * (1 + 0.5 * np.tanh((angle - 4.0) / 6.0)))
+    return np.asarray(ndf(cosine, 0.15) * (1 + 0.5 * np.tanh((angle - 4.0) / 6.0)))
 
 
 MATERIALS: dict[str, Truth] = {

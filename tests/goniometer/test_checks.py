@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from analysis.directions import _from_vectors
-from analysis.models import ggx_lobe
+from analysis.distributions import lobe
 from drivers.arrays import FloatArray
 from goniometer.checks import checks, noise_flags
 from goniometer.dataset import Check, Dataset, Flag
@@ -98,7 +98,7 @@ def hemisphere(alpha: float, theta_in: float) -> float:
     out = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi], axis=-1)
     tilt = np.radians(theta_in)
     incident = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
-    f = ggx_lobe(_from_vectors(np.broadcast_to(incident, out.shape), out), alpha)
+    f = lobe(_from_vectors(np.broadcast_to(incident, out.shape), out), alpha)
     inner = f @ weights * np.pi / 2 * 2
     return float(np.pi / 4 * np.sum(weights * inner * (np.sin(theta) * np.cos(theta))[:, 0]))
 
@@ -108,7 +108,7 @@ def slice_of(alpha: float, theta_in: float) -> Dataset:
     incident, theta_out = directions(alpha, (theta_in,))
     tilt, turn = np.radians(incident), np.radians(theta_out)
     pairs = (np.stack([np.sin(a), 0 * a, np.cos(a)], axis=-1) for a in (-tilt, turn))
-    return of_values(incident, theta_out, ggx_lobe(_from_vectors(*pairs), alpha))
+    return of_values(incident, theta_out, lobe(_from_vectors(*pairs), alpha))
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.2, 0.364])

@@ -1,0 +1,115 @@
+"""A shift of two components: one function for light reflected once, one for light reflected more often.
+
+    shift = (1 - s) (1 + m_1 x) + s (1 + m_2 x),    x = lambda - lambda_n,
+
+with s, 0 ... 1, the share of multiple reflections in a direction (section 5.7 of the paper suggests it, without a
+formula). The weights sum to one, so the sum is a shift of slope m = (1 - s) m_1 + s m_2 and all that holds for Eq. 4
+holds for it. Where s is known, from rays traced over a topography, `mixed_slope` is all there is to it. Where it is
+not, `two_component_slope` makes s of two lobes: single reflections fill one about the mirror direction, multiple ones
+one about the way back into the lamp (Fig. 11), both falling off as the exponential of a cosine. The share is then
+
+    s = 1 / (1 + exp(2 sqrt(q) v)),    v = cos(w theta_m) - kappa cos(w theta_d),
+
+with theta_m the angle between half vector and surface normal and theta_d that between incident direction and half
+vector. Its slopes are m_1,2 = t_y +- h / sqrt(q), which makes m = t_y + h tanh(sqrt(q) v) / sqrt(q). With kappa = 0
+and q = 0 this is the cosine of Eq. 5; q sharpens the transition from one slope to the other, as smooth samples want
+it; kappa = 1 makes the two lobes cancel at normal incidence and separate beyond it, as Spectralon does that was
+sanded with grit 1000 (Fig. 12), and more than 1 gives a valley that follows the lamp, as with grit 60. Unlike m_1
+and m_2, the five parameters h, w, t_y, kappa and q stay finite and distinct where the model turns into Eq. 5.
+"""
+
+import math
+
+import numpy as np
+
+from analysis.directions import Directions
+from analysis.errors import OutOfRange
+from drivers.arrays import FloatArray
+
+_SMALL = 1e-3
+"""q v^2 below which series, exact to 1e-13, stand for quotients that rounding would spoil."""
+
+
+def mixed_slope(share: FloatArray, single: FloatArray | float, multiple: FloatArray | float) -> FloatArray:
+    """Slope of the shift, 1/um, [...], where a share [...] of the light, 0 ... 1, was reflected more than once.
+
+    `single` and `multiple` are the slopes of the two components, 1/um, one for all directions or [...]. Raises
+    `OutOfRange` for a share that is none. Linear in the slopes: the derivative by `single` is 1 - share, that by
+    `multiple` is share.
+    """
+    if np.any((share < 0) | (share > 1)):
+        raise OutOfRange(
+            f"The share of multiple reflections reaches from {np.min(share):g} to {np.max(share):g}; "
+            "it must lie between 0 and 1."
+        )
+    return np.asarray((1 - share) * single + share * multiple)
+
+
+def share_of_multiple(directions: Directions, w: float, kappa: float, sharpness: float) -> FloatArray:
+    """Share s of multiple reflections, 0 ... 1, [...], of the two lobes described above; `sharpness` is q."""
+    v, _, _ = _balance(directions, w, kappa)
+    return np.asarray(0.5 * (1 - np.tanh(np.sqrt(_checked(sharpness)) * v)))
+
+
+def component_slopes(h: float, t_y: float, sharpness: float) -> tuple[float, float]:
+    """Slopes m_1 of single and m_2 of multiple reflections, 1/um.
+
+    Raises `OutOfRange` for a `sharpness` of zero or less: the components have no slopes of their own in that limit.
+    """
+    if sharpness <= 0:
+        raise OutOfRange(f"A sharpness of {sharpness:g} leaves the components no slopes; it must be above zero.")
+    return t_y + h / math.sqrt(sharpness), t_y - h / math.sqrt(sharpness)
+
+
+def two_component_slope(
+    directions: Directions, h: float, w: float, t_y: float = 0.0, kappa: float = 0.0, sharpness: float = 0.0
+) -> FloatArray:
+    """Slope of the two-component shift, 1/um, [...]; h and t_y in 1/um, the others are numbers.
+
+    `sharpness` is q >= 0, else `OutOfRange` is raised. Beyond w theta_d = 180 degrees the lobe about the lamp stays at
+    its minimum: one lamp has one lobe.
+    """
+    v, _, _ = _balance(directions, w, kappa)
+    return np.asarray(t_y + h * v * _tanh_ratio(_checked(sharpness) * v**2))
+
+
+def two_component_slope_derivative(
+    directions: Directions, h: float, w: float, t_y: float = 0.0, kappa: float = 0.0, sharpness: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """`two_component_slope` [...] and its derivatives by h, w, t_y, kappa and sharpness, [5, ...]."""
+    v, v_by_w, v_by_kappa = _balance(directions, w, kappa)
+    z = _checked(sharpness) * v**2
+    ratio = _tanh_ratio(z)
+    # beyond 300 its square is below what a double can hold
+    sech2 = 1 / np.cosh(np.minimum(np.sqrt(z), 300)) ** 2
+    small = z < _SMALL
+    series = -1 / 3 + z * (4 / 15 + z * (-51 / 315 + z * 248 / 2835))
+    ratio_slope = np.where(small, series, (sech2 - ratio) / (2 * np.where(small, 1.0, z)))
+    jacobian = np.stack(
+        [v * ratio, h * sech2 * v_by_w, np.ones_like(v), h * sech2 * v_by_kappa, h * v**3 * ratio_slope]
+    )
+    return np.asarray(t_y + h * v * ratio), jacobian
+
+
+def _checked(sharpness: float) -> float:
+    if sharpness.real < 0:
+        raise OutOfRange(f"A sharpness of {sharpness:g} has no meaning; it must not be negative.")
+    return sharpness
+
+
+def _balance(directions: Directions, w: float, kappa: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """v, half the logarithm of single over multiple reflections but for sqrt(q), and its derivatives by w and kappa."""
+    theta_m, theta_d = (np.arccos(np.clip(cosine, -1, 1)) for cosine in (directions.cos_m, directions.cos_d))
+    phase = np.minimum(w * theta_d, np.pi)
+    back = np.cos(phase)
+    v = np.cos(w * theta_m) - kappa * back
+    by_w = -theta_m * np.sin(w * theta_m) + kappa * theta_d * np.sin(phase)
+    return np.asarray(v), np.asarray(by_w), np.asarray(-back)
+
+
+def _tanh_ratio(z: FloatArray) -> FloatArray:
+    """tanh(sqrt(z)) / sqrt(z), by its series where z is small."""
+    small = np.abs(z) < _SMALL
+    root = np.sqrt(np.where(small, 1.0, z))
+    series = 1 + z * (-1 / 3 + z * (2 / 15 + z * (-17 / 315 + z * 62 / 2835)))
+    return np.asarray(np.where(small, series, np.tanh(root) / root))
