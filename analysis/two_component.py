@@ -3,19 +3,26 @@
     shift = (1 - s) (1 + m_1 x) + s (1 + m_2 x),    x = lambda - lambda_n,
 
 with s, 0 ... 1, the share of multiple reflections in a direction (section 5.7 of the paper suggests it, without a
-formula). The weights sum to one, so the sum is a shift of slope m = (1 - s) m_1 + s m_2 and all that holds for Eq. 4
+formula). The weights sum to one, so the sum is a shift of slope m = (1 - s) m_1 + s m_2, and all that holds for Eq. 4
 holds for it. Where s is known, from rays traced over a topography, `mixed_slope` is all there is to it. Where it is
 not, `two_component_slope` makes s of two lobes: single reflections fill one about the mirror direction, multiple ones
-one about the way back into the lamp (Fig. 11), both falling off as the exponential of a cosine. The share is then
+one about the way back into the lamp (Fig. 11), each an exponential of a cosine. With theta_m the angle between half
+vector and surface normal and theta_d that between incident direction and half vector, the share is
 
-    s = 1 / (1 + exp(2 sqrt(q) v)),    v = cos(w theta_m) - kappa cos(w theta_d),
+    s = 1 / (1 + exp(2 b (v - v_0))),    v = cos(w theta_m) - kappa cos(w theta_d),    b^2 = q.
 
-with theta_m the angle between half vector and surface normal and theta_d that between incident direction and half
-vector. Its slopes are m_1,2 = t_y +- h / sqrt(q), which makes m = t_y + h tanh(sqrt(q) v) / sqrt(q). With kappa = 0
-and q = 0 this is the cosine of Eq. 5; q sharpens the transition from one slope to the other, as smooth samples want
-it; kappa = 1 makes the two lobes cancel at normal incidence and separate beyond it, as Spectralon does that was
-sanded with grit 1000 (Fig. 12), and more than 1 gives a valley that follows the lamp, as with grit 60. Unlike m_1
-and m_2, the five parameters h, w, t_y, kappa and q stay finite and distinct where the model turns into Eq. 5.
+- threshold v_0 says how strong the lobes are, 2 b v_0 being the logarithm of multiple over single ones;
+- sharpness q says how fast one takes over from the other; smooth samples want fast transitions;
+- kappa says how much of multiple reflections goes back. At kappa = 1 the lobes cancel at normal incidence and part
+  beyond it, as on Spectralon sanded with grit 1000 (Fig. 12); above 1 a valley follows the lamp, as with grit 60.
+
+The slopes of the components are m_1,2 = t_y + h (tanh(b v_0) +- 1) / b, so that the slope is t_y where v = 0:
+
+    m = t_y + h [tanh(b (v - v_0)) + tanh(b v_0)] / b.
+
+For q = 0 and kappa = 0 this is the cosine of Eq. 5, whatever v_0. Unlike m_1 and m_2 the parameters h, w, t_y, kappa
+and q stay finite and distinct there, while v_0 means nothing and has the derivative zero. The model is linear in h
+and t_y. It is symmetric in the two directions, as a BRDF must be.
 """
 
 import math
@@ -45,24 +52,34 @@ def mixed_slope(share: FloatArray, single: FloatArray | float, multiple: FloatAr
     return np.asarray((1 - share) * single + share * multiple)
 
 
-def share_of_multiple(directions: Directions, w: float, kappa: float, sharpness: float) -> FloatArray:
-    """Share s of multiple reflections, 0 ... 1, [...], of the two lobes described above; `sharpness` is q."""
+def share_of_multiple(
+    directions: Directions, w: float, kappa: float, sharpness: float, threshold: float = 0.0
+) -> FloatArray:
+    """Share s of multiple reflections, 0 ... 1, [...], of the two lobes described above."""
     v, _, _ = _balance(directions, w, kappa)
-    return np.asarray(0.5 * (1 - np.tanh(np.sqrt(_checked(sharpness)) * v)))
+    return np.asarray(0.5 * (1 - np.tanh(np.sqrt(_checked(sharpness)) * (v - threshold))))
 
 
-def component_slopes(h: float, t_y: float, sharpness: float) -> tuple[float, float]:
+def component_slopes(h: float, t_y: float, sharpness: float, threshold: float = 0.0) -> tuple[float, float]:
     """Slopes m_1 of single and m_2 of multiple reflections, 1/um.
 
     Raises `OutOfRange` for a `sharpness` of zero or less: the components have no slopes of their own in that limit.
     """
     if sharpness <= 0:
         raise OutOfRange(f"A sharpness of {sharpness:g} leaves the components no slopes; it must be above zero.")
-    return t_y + h / math.sqrt(sharpness), t_y - h / math.sqrt(sharpness)
+    b = math.sqrt(sharpness)
+    level = math.tanh(b * threshold)
+    return t_y + h * (level + 1) / b, t_y + h * (level - 1) / b
 
 
 def two_component_slope(
-    directions: Directions, h: float, w: float, t_y: float = 0.0, kappa: float = 0.0, sharpness: float = 0.0
+    directions: Directions,
+    h: float,
+    w: float,
+    t_y: float = 0.0,
+    kappa: float = 0.0,
+    sharpness: float = 0.0,
+    threshold: float = 0.0,
 ) -> FloatArray:
     """Slope of the two-component shift, 1/um, [...]; h and t_y in 1/um, the others are numbers.
 
@@ -70,25 +87,37 @@ def two_component_slope(
     its minimum: one lamp has one lobe.
     """
     v, _, _ = _balance(directions, w, kappa)
-    return np.asarray(t_y + h * v * _tanh_ratio(_checked(sharpness) * v**2))
+    q = _checked(sharpness)
+    return np.asarray(t_y + h * (_saturated(v - threshold, q) + _saturated(np.asarray(threshold), q)))
 
 
 def two_component_slope_derivative(
-    directions: Directions, h: float, w: float, t_y: float = 0.0, kappa: float = 0.0, sharpness: float = 0.0
+    directions: Directions,
+    h: float,
+    w: float,
+    t_y: float = 0.0,
+    kappa: float = 0.0,
+    sharpness: float = 0.0,
+    threshold: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """`two_component_slope` [...] and its derivatives by h, w, t_y, kappa and sharpness, [5, ...]."""
+    """`two_component_slope` [...] and its derivatives by its six parameters in their order, [6, ...]."""
     v, v_by_w, v_by_kappa = _balance(directions, w, kappa)
-    z = _checked(sharpness) * v**2
-    ratio = _tanh_ratio(z)
-    # beyond 300 its square is below what a double can hold
-    sech2 = 1 / np.cosh(np.minimum(np.sqrt(z), 300)) ** 2
-    small = z < _SMALL
-    series = -1 / 3 + z * (4 / 15 + z * (-51 / 315 + z * 248 / 2835))
-    ratio_slope = np.where(small, series, (sech2 - ratio) / (2 * np.where(small, 1.0, z)))
+    q = _checked(sharpness)
+    away, level = v - threshold, np.asarray(threshold)
+    form = _saturated(away, q) + _saturated(level, q)
+    by_v, by_q = _saturated_derivatives(away, q)
+    by_level, level_by_q = _saturated_derivatives(level, q)
     jacobian = np.stack(
-        [v * ratio, h * sech2 * v_by_w, np.ones_like(v), h * sech2 * v_by_kappa, h * v**3 * ratio_slope]
+        [
+            form,
+            h * by_v * v_by_w,
+            np.ones_like(v),
+            h * by_v * v_by_kappa,
+            h * (by_q + level_by_q),
+            h * (by_level - by_v),
+        ]
     )
-    return np.asarray(t_y + h * v * ratio), jacobian
+    return np.asarray(t_y + h * form), jacobian
 
 
 def _checked(sharpness: float) -> float:
@@ -98,7 +127,7 @@ def _checked(sharpness: float) -> float:
 
 
 def _balance(directions: Directions, w: float, kappa: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """v, half the logarithm of single over multiple reflections but for sqrt(q), and its derivatives by w and kappa."""
+    """v of the single lobe against the multiple one, and its derivatives by w and kappa."""
     theta_m, theta_d = (np.arccos(np.clip(cosine, -1, 1)) for cosine in (directions.cos_m, directions.cos_d))
     phase = np.minimum(w * theta_d, np.pi)
     back = np.cos(phase)
@@ -107,9 +136,23 @@ def _balance(directions: Directions, w: float, kappa: float) -> tuple[FloatArray
     return np.asarray(v), np.asarray(by_w), np.asarray(-back)
 
 
-def _tanh_ratio(z: FloatArray) -> FloatArray:
-    """tanh(sqrt(z)) / sqrt(z), by its series where z is small."""
+def _saturated(v: FloatArray, q: float) -> FloatArray:
+    """tanh(sqrt(q) v) / sqrt(q), which is v for q = 0; by its series where that is more exact."""
+    z = q * v**2
     small = np.abs(z) < _SMALL
     root = np.sqrt(np.where(small, 1.0, z))
     series = 1 + z * (-1 / 3 + z * (2 / 15 + z * (-17 / 315 + z * 62 / 2835)))
-    return np.asarray(np.where(small, series, np.tanh(root) / root))
+    return np.asarray(v * np.where(small, series, np.tanh(root) / root))
+
+
+def _saturated_derivatives(v: FloatArray, q: float) -> tuple[FloatArray, FloatArray]:
+    """Of `_saturated` by v and by q."""
+    z = q * v**2
+    small = z < _SMALL
+    root = np.sqrt(z)
+    # beyond 300 its square is more than a double can hold
+    sech2 = 1 / np.cosh(np.minimum(root, 300)) ** 2
+    series = -1 / 3 + z * (4 / 15 + z * (-51 / 315 + z * 248 / 2835))
+    safe = np.where(small, 1.0, z)
+    quotient = (sech2 - np.tanh(root) / np.sqrt(safe)) / (2 * safe)
+    return np.asarray(sech2), np.asarray(v**3 * np.where(small, series, quotient))
