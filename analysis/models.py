@@ -146,17 +146,17 @@ def microfacet(
 
     `slope` is that of the shift at the directions, 1/um; without it there is no shift. With `weights` [nodes] of an
     aperture the directions (and the slope) are [..., nodes], as of `through_aperture`, and the result is what an
-    instrument with that aperture reads: lobe and slope are averaged over it, weighted as the light is. Fresnel
+    instrument with that aperture reads: lobe, and lobe times slope, are averaged over it before the wavelengths enter,
+    so a negative shift becomes zero in the average and not in each node. Fresnel
     reflectance `fresnel`, [..., wavelengths] or [..., 1], is that at the centre of the aperture, which changes a
     1 degree aperture's reading by at most 4e-4 (alpha 0.0045, at 70 degrees) and by less than 4e-5 for alpha >= 0.18.
     """
     light = lobe(directions, alpha, distribution)
+    tilted = np.zeros_like(light) if slope is None else light * slope
     if weights is not None:
-        lit = light * weights
-        light = lit.sum(axis=-1)
-        slope = None if slope is None else (lit * slope).sum(axis=-1) / np.where(light != 0, light, 1.0)
-    value = light[..., None] * fresnel
-    return np.asarray(value if slope is None else value * shift(slope, wavelengths, lambda_n))
+        light, tilted = light @ weights, tilted @ weights
+    x = (wavelengths - lambda_n) * 1e-3
+    return np.asarray(fresnel * np.maximum(light[..., None] + tilted[..., None] * x, 0.0))
 
 
 def microfacet_derivative(
@@ -174,27 +174,24 @@ def microfacet_derivative(
     `fresnel` and `slope` are values with derivatives, the latter with the axis of their parameters first; it may
     have the length zero, as of `constant`. The result's axis of parameters is first, too, in the order named.
     """
-    light, light_slope = lobe_derivative(directions, alpha, distribution)
-    mean, mean_jacobian = slope
-    mean_by_alpha = np.zeros(())
+    light, light_by_alpha = lobe_derivative(directions, alpha, distribution)
+    tilted, tilted_by_alpha, tilted_by_slope = light * slope[0], light_by_alpha * slope[0], light * slope[1]
     if weights is not None:
-        lit, lit_slope = light * weights, light_slope * weights
-        light, light_slope = lit.sum(axis=-1), lit_slope.sum(axis=-1)
-        present = np.where(light > 0, light, 1.0)
-        of_nodes, mean = mean, (lit * mean).sum(axis=-1) / present
-        mean_by_alpha = ((lit_slope * of_nodes).sum(axis=-1) - mean * light_slope) / present
-        mean_jacobian = (lit * mean_jacobian).sum(axis=-1) / present
-    reflectance, reflectance_jacobian = fresnel
-    tilt, tilt_slope = shift_derivative(mean, wavelengths, lambda_n)
-    shifted, by_slope = reflectance * tilt, light[..., None] * reflectance * tilt_slope
+        light, light_by_alpha = light @ weights, light_by_alpha @ weights
+        tilted, tilted_by_alpha, tilted_by_slope = (
+            part @ weights for part in (tilted, tilted_by_alpha, tilted_by_slope)
+        )
+    x = (wavelengths - lambda_n) * 1e-3
+    shifted = np.maximum(light[..., None] + tilted[..., None] * x, 0.0)
+    lit = fresnel[0] * (shifted > 0)
     jacobian = np.concatenate(
         [
-            (light_slope[..., None] * shifted + by_slope * mean_by_alpha[..., None])[None],
-            light[..., None] * tilt * reflectance_jacobian,
-            by_slope * mean_jacobian[..., None],
+            (lit * (light_by_alpha[..., None] + tilted_by_alpha[..., None] * x))[None],
+            shifted * fresnel[1],
+            (lit * x) * tilted_by_slope[..., None],
         ]
     )
-    return np.asarray(light[..., None] * shifted), jacobian
+    return np.asarray(fresnel[0] * shifted), jacobian
 
 
 def constant(value: FloatArray) -> tuple[FloatArray, FloatArray]:

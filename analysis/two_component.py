@@ -107,16 +107,9 @@ def two_component_slope_derivative(
     form = _saturated(away, q) + _saturated(level, q)
     by_v, by_q = _saturated_derivatives(away, q)
     by_level, level_by_q = _saturated_derivatives(level, q)
-    jacobian = np.stack(
-        [
-            form,
-            h * by_v * v_by_w,
-            np.ones_like(v),
-            h * by_v * v_by_kappa,
-            h * (by_q + level_by_q),
-            h * (by_level - by_v),
-        ]
-    )
+    by_w, by_kappa = h * by_v * v_by_w, h * by_v * v_by_kappa
+    by_sharpness, by_threshold = h * (by_q + level_by_q), h * (by_level - by_v)
+    jacobian = np.stack([form, by_w, np.ones_like(v), by_kappa, by_sharpness, by_threshold])
     return np.asarray(t_y + h * form), jacobian
 
 
