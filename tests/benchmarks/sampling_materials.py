@@ -50,18 +50,12 @@ def _ggx(alpha: float, h: float = 0.0, w: float = 0.0) -> Truth:
     return Truth(lambda cosine, _: ndf(cosine, alpha), alpha, h, w)
 
 
-def _beckmann(cos_m: FloatArray, alpha: float) -> FloatArray:
-    """Beckmann distribution of normals, 1/sr. Source: Walter et al. 2007, Eq. 25."""
-    tan2 = 1 / cos_m**2 - 1
-    return np.asarray(np.exp(-tan2 / alpha**2) / (np.pi * alpha**2 * cos_m**4))
-
-
 def _two(cosine: FloatArray, _: FloatArray) -> FloatArray:
     return 0.3 * ndf(cosine, 0.03) + 0.7 * ndf(cosine, 0.3)
 
 
 def _mixture(cosine: FloatArray, _: FloatArray) -> FloatArray:
-    return 0.5 * ndf(cosine, 0.1) + 0.5 * _beckmann(cosine, 0.3)
+    return 0.5 * ndf(cosine, 0.1) + 0.5 * ndf(cosine, 0.3, "beckmann")
 
 
 def _halo(cosine: FloatArray, _: FloatArray) -> FloatArray:
