@@ -147,9 +147,9 @@ def microfacet(
     `slope` is that of the shift at the directions, 1/um; without it there is no shift. With `weights` [nodes] of an
     aperture the directions (and the slope) are [..., nodes], as of `through_aperture`, and the result is what an
     instrument with that aperture reads: lobe, and lobe times slope, are averaged over it before the wavelengths enter,
-    so a negative shift becomes zero in the average and not in each node. Fresnel
-    reflectance `fresnel`, [..., wavelengths] or [..., 1], is that at the centre of the aperture, which changes a
-    1 degree aperture's reading by at most 4e-4 (alpha 0.0045, at 70 degrees) and by less than 4e-5 for alpha >= 0.18.
+    so a negative shift becomes zero in the average and not in each node. Fresnel reflectance `fresnel`,
+    [..., wavelengths] or [..., 1], is that at the centre of the aperture, which changes a 1 degree aperture's reading
+    by at most 4e-4 (alpha 0.0045, at 70 degrees) and by less than 4e-5 for alpha >= 0.18.
     """
     light = lobe(directions, alpha, distribution)
     tilted = np.zeros_like(light) if slope is None else light * slope
