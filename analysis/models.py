@@ -279,8 +279,8 @@ def dielectric(
     below the horizon. Raises `OutOfRange` for `eta` below one.
 
     >>> mirror = in_plane(np.array([0.0]), np.array([0.0]))
-    >>> dielectric(mirror, np.array([500.0, 600.0]), 0.5, 1.5, np.array([0.2, 0.4]), h=1.0, w=2.0).round(4)
-    array([[0.0751, 0.1401]])
+    >>> dielectric(mirror, np.array([500.0, 600.0]), 0.5, 1.5, np.array([0.2, 0.4]), h=1.0, w=2.0).round(4).tolist()
+    [[0.0751, 0.1401]]
     """
     fresnel = fresnel_dielectric(directions.cos_d[..., None], eta)
     slope = cosine_slope(theta_m(directions), h, w) if h != 0 else None
