@@ -23,7 +23,9 @@ def chosen_dataset(store: Store, name: str) -> int:
     *others, newest = find_datasets(store, name)
     if others:
         known = f"{', '.join(map(str, others))} and {newest}"
-        told = f"{store.scan(store.datasets()[newest]).sample} has datasets {known}; taking {newest}, name a number"
+        scan = store.scan(store.datasets()[newest])
+        meant = scan.name if name.lower() == scan.name.lower() else scan.sample
+        told = f"{meant} has datasets {known}; taking {newest}, name a number"
         screen.print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)
     return newest
 

@@ -75,6 +75,9 @@ def run_command(
     instrument: Annotated[
         Path | None, typer.Option(help="Instrument file (TOML); without it the simulated bench is used.")
     ] = None,
+    lamp_is_warm: Annotated[
+        bool, typer.Option("--lamp-is-warm", help="It has burned long enough; do not wait for it to warm up.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
@@ -83,7 +86,8 @@ def run_command(
     store = Store.open(database)
     with progress_display(screen) as (show, note):
         folder = output / slug(wanted.name)
-        result = wait(run(store, wanted, folder, settings, Watch(show, note, ask_to_mount)))
+        watch = Watch(show, note, ask_to_mount)
+        result = wait(run(store, wanted, folder, settings, watch, lamp_is_warm=lamp_is_warm))
     samples = outcomes(store, result.campaign_id, truth=settings is None)
     if as_json:
         emit(
@@ -171,6 +175,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     found = [asdict(scan) for scan in scans]
     running = store.in_use()
     for scan, entry in zip(scans, found, strict=True):
+        entry["name"] = scan.name
         entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and not running
         points = store.points(entry["id"])
         entry["points_done"] = sum(point.status == "done" for point in points)
@@ -184,7 +189,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     for entry in found:
         state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
-        what = f"{entry['sample']}, another spot" if entry["kind"] == "spot" else entry["sample"]
+        what = f"{entry['name']}, another spot" if entry["kind"] == "spot" else entry["name"]
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {entry['points_done']} points{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
 
@@ -195,9 +200,9 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
         scan = active_scan(store)
         store.request(scan.id, verb)
         if as_json:
-            emit({"scan": scan.id, "sample": scan.sample, "requested": verb})
+            emit({"scan": scan.id, "sample": scan.name, "requested": verb})
         else:
-            told = f"Asked the scan of {scan.sample} to {verb}; it obeys after the point in hand, an abort at once."
+            told = f"Asked the scan of {scan.name} to {verb}; it obeys after the point in hand, an abort at once."
             Console().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."

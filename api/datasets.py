@@ -7,24 +7,37 @@ from pathlib import Path
 from goniometer.calibration import calibrate_scan
 from goniometer.certificate import Override
 from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.dataset import Dataset
 from goniometer.errors import NotInStore
 from goniometer.exposure import below_wanted
+from goniometer.lineage import own_datasets
 from goniometer.records import Scan
 from goniometer.response import STANDARD, Settings
 from goniometer.store import Store
 
 
+def is_called(scan: Scan, name: str) -> bool:
+    """Whether a person may mean `scan` by `name`: the name of its sample, with or without the number of the repeat."""
+    return name.lower() in {scan.sample.lower(), scan.name.lower()}
+
+
+def campaign_datasets(store: Store, campaign_id: int) -> dict[str, Dataset]:
+    """What a campaign has made so far: the newest own dataset of every measurement by its name, in their order."""
+    newest = {scan.name: max(own_datasets(store, scan.id), default=None) for scan in store.scans(campaign_id)}
+    return {name: store.dataset(dataset_id) for name, dataset_id in newest.items() if dataset_id is not None}
+
+
 def find_datasets(store: Store, name: str) -> list[int]:
-    """Ids of the datasets called `name`, oldest first: one by its number, or all of a sample by its name.
+    """Ids of the datasets called `name`, oldest first: one by its number, those of one repeat, or all of a sample.
 
     Raises `NotInStore` with the names that there are.
     """
-    datasets = {dataset_id: store.scan(scan_id).sample for dataset_id, scan_id in store.datasets().items()}
+    datasets = {dataset_id: store.scan(scan_id) for dataset_id, scan_id in store.datasets().items()}
     if name.isdecimal() and int(name) in datasets:
         return [int(name)]
-    found = [dataset_id for dataset_id, sample in datasets.items() if sample.lower() == name.lower()]
+    found = [dataset_id for dataset_id, scan in datasets.items() if is_called(scan, name)]
     if not found:
-        known = ", ".join(f'{dataset_id} ("{sample}")' for dataset_id, sample in datasets.items()) or "none yet"
+        known = ", ".join(f'{dataset_id} ("{scan.name}")' for dataset_id, scan in datasets.items()) or "none yet"
         raise NotInStore(f'There is no dataset "{name}"; there are: {known}.')
     return found
 
@@ -32,7 +45,7 @@ def find_datasets(store: Store, name: str) -> list[int]:
 def uncalibrated_scan(store: Store, name: str) -> Scan | None:
     """The newest completed scan of the sample `name` that has no dataset; None where there is none."""
     found = [s for s in store.scans() if s.kind == "sample" and s.outcome == "completed" and not store.datasets(s.id)]
-    return next((scan for scan in reversed(found) if scan.sample.lower() == name.lower()), None)
+    return next((scan for scan in reversed(found) if is_called(scan, name)), None)
 
 
 def make_dataset(

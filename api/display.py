@@ -69,13 +69,14 @@ def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
 
 
 def _lines(console: Console) -> Show:
-    last: dict[int, tuple[float, str]] = {}
+    last: dict[int, tuple[float, tuple[str, str | None] | None]] = {}
 
     def show(progress: Progress) -> None:
-        since, phase = last.get(progress.scan_id, (-LOG_INTERVAL, ""))
-        if phase == progress.phase and time.monotonic() - since < LOG_INTERVAL:
+        doing = progress.phase, None if progress.waiting is None else progress.waiting.what
+        since, before = last.get(progress.scan_id, (-LOG_INTERVAL, None))
+        if before == doing and time.monotonic() - since < LOG_INTERVAL:
             return
-        last[progress.scan_id] = time.monotonic(), progress.phase
+        last[progress.scan_id] = time.monotonic(), doing
         console.print(
             f"{progress.sample}: {progress.done} of about {progress.expected} points, "
             f"{100 * progress.fraction:.0f} %, {_state(progress)}",
@@ -87,9 +88,12 @@ def _lines(console: Console) -> Show:
 
 
 def _state(progress: Progress) -> str:
-    """Time left, or how it ended."""
+    """Time left, what it waits for, or how it ended."""
     if progress.phase == "finished":
         return f"finished, {duration(progress.bench_elapsed)} on the bench"
     if progress.phase != "running":
         return progress.phase
+    if progress.waiting is not None:
+        left = "" if progress.waiting.left is None else f", {duration(progress.waiting.left)} left on the bench"
+        return f"waiting: {progress.waiting.what}{left}"
     return f"{duration(progress.remaining)} left ({duration(progress.bench_remaining)} on the bench)"

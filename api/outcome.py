@@ -92,7 +92,7 @@ def _outcome(store: Store, scan: Scan, uniform: int, *, truth: bool) -> SampleOu
     if analysis:
         differences = {"local": _local_differences(analysis["local"])} | differences
     return SampleOutcome(
-        sample=scan.sample,
+        sample=scan.name,
         material=scan.material,
         phase=scan.phase,
         outcome=scan.outcome,

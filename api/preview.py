@@ -1,12 +1,13 @@
 """What a campaign will do, told before anything moves."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from analysis.budget_figure import side_by_side
 from analysis.plan_figure import arm_view, polar_view
 from api.display import duration
 from goniometer.campaign import Campaign, Integration
+from goniometer.conditions import Conditions
 from goniometer.duration import EARLIER, Expected, expected
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
@@ -28,7 +29,9 @@ class Leg:
     detector_travel: float
     """Degrees that the detector stage turns between them."""
     time: Expected
-    """Until the scan is complete, seconds."""
+    """Until the scan is complete, seconds, with what it waits for."""
+    waiting: float
+    """Least time of that which it waits before it measures, seconds."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +51,18 @@ class Preview:
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
     besides: tuple[str, ...]
-    """What is measured besides, as sentences; its time is not in that of the legs."""
+    """What is measured besides, the time of which is not in that of the legs, and what must hold; as sentences."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
         told = [f"Campaign {self.campaign}"]
         for leg in self.legs:
             points = f"{leg.points}" if leg.points == leg.most_points else f"{leg.points} to about {leg.most_points}"
+            waiting = f", {duration(leg.waiting)} of it waiting" if leg.waiting else ""
             told.append(
                 f"  {leg.name}: {points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
                 f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, {duration(leg.time.low)} to "
-                f"{duration(leg.time.high)}, about {duration(leg.time.seconds)}"
+                f"{duration(leg.time.high)}, about {duration(leg.time.seconds)}{waiting}"
             )
         colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
         told.append(
@@ -82,17 +86,23 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     """Preview of `campaign` on a bench that moves like `motion`; touches no device."""
     spec = plan_spec(campaign, motion)
     panel = reference_points(spec, campaign.reference.step)
-    reference = _leg("reference panel", panel, len(panel), spec, campaign.integration, campaign.reference.scans)
+    policy = campaign.integration
     first = next_points(spec, [])
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
-    samples = [
-        _leg(sample.name, first, most, spec, campaign.integration, campaign.integration.scans)
-        for sample in campaign.samples
+    legs = [
+        _leg(name.replace("reference", "reference panel", 1), panel, len(panel), spec, policy, campaign.reference.scans)
+        if sample is None
+        else _delayed(_leg(name, first, most, spec, policy, policy.scans), sample.wait)
+        for name, sample in campaign.series
     ]
+    conditions = campaign.conditions
+    if conditions.lamp_change is not None:
+        legs = [_delayed(leg, conditions.lamp_change_within) for leg in legs]
+    legs[0] = _delayed(legs[0], conditions.lamp_warm or 0.0)
     return Preview(
         campaign.name,
-        (reference, *samples),
+        tuple(legs),
         blocked_ranges(spec),
         spec.minimum_step,
         spec.tolerance,
@@ -110,7 +120,12 @@ def _leg(name: str, path: list[Geometry], most: int, spec: PlanSpec, integration
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
     if spec.most_seconds is not None:
         time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
-    return Leg(name, len(path), most, way.sample, way.detector, time)
+    return Leg(name, len(path), most, way.sample, way.detector, time, 0.0)
+
+
+def _delayed(leg: Leg, seconds: float) -> Leg:
+    """A scan that waits for `seconds` (more) before it measures."""
+    return replace(leg, time=leg.time + Expected(seconds, seconds, seconds), waiting=leg.waiting + seconds)
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:
@@ -124,4 +139,25 @@ def _besides(campaign: Campaign) -> tuple[str, ...]:
     if campaign.homogeneity is not None:
         points = campaign.homogeneity.points
         told.append(f"After each sample somebody is asked to turn it, and {points} directions are measured again.")
+    told += _demanded(campaign.conditions)
     return tuple(told)
+
+
+def _demanded(conditions: Conditions) -> list[str]:
+    """What must hold before every scan, as sentences."""
+    demands = []
+    if conditions.cooler_stable:
+        demands.append("the detector rests at its set point")
+    if conditions.lamp_warm is not None:
+        demands.append(
+            f"the lamp has been on for {duration(conditions.lamp_warm)}, which the first scan waits for where the lamp "
+            f"is cold"
+        )
+    if conditions.lamp_change is not None:
+        demands.append(
+            f"the lamp changes by less than {conditions.lamp_change:.3g} in {duration(conditions.lamp_change_within)}, "
+            f"which every scan waits for at least that long"
+        )
+    if not demands:
+        return []
+    return [f"No scan begins before {'; '.join(demands)}; one fails after {duration(conditions.patience)} of that."]

@@ -8,7 +8,7 @@ import multiprocessing
 from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -21,6 +21,7 @@ from analysis.report import RunFacts
 from api.datasets import make_dataset, too_noisy
 from api.derive import REPORT, Derived, derive, end_with_parent, slug
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
+from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
@@ -55,14 +56,21 @@ DETECTOR_STAGE_LIMITS = (-LARGEST_ANGLE, 2 * LARGEST_ANGLE)
 
 @dataclass(frozen=True)
 class Watch:
-    """How a run tells what it does; every function must return soon."""
+    """How a run tells what it does; every function must return soon. As it stands, it asks on the terminal only."""
 
-    report: Report
+    report: Report = lambda _: None
     """Called with the progress of the scan."""
-    note: Callable[[str], None]
+    note: Callable[[str], None] = lambda _: None
     """Called with a sentence for the operator."""
-    mount: Mount
+    mount: Mount = ask_to_mount
     """Asks a person to mount a sample on a real bench and returns when it lies there."""
+
+
+QUIET = Watch()
+"""Tells nothing, and asks on the terminal what only a person can do."""
+
+OpenBench = tuple[Instrument, Mount]
+"""What `open_bench` opens."""
 
 
 def make_bench(settings: InstrumentSettings, clock: Clock, usb_backend: IBackend | None) -> Bench:
@@ -179,15 +187,30 @@ async def open_bench(
     ask: Mount,
     families: tuple[str, str] = STAGES,
     imperfections: Imperfections | None = None,
-) -> AsyncIterator[tuple[Instrument, Mount]]:
-    """What `open_instrument` opens, and how the sample of a scan gets onto it."""
+    *,
+    lamp_is_warm: bool = False,
+) -> AsyncIterator[OpenBench]:
+    """What `open_instrument` opens, and how the sample of a scan gets onto it, unless it lies there already.
+
+    `lamp_is_warm` is the word of an operator; else the lamp counts as cold when the bench is opened.
+    """
     async with open_instrument(settings, seed, families, imperfections) as (instrument, laboratory):
+        if lamp_is_warm:
+            instrument.trust_lamp()
+        lying: tuple[str, str] | None = None  # None where nobody knows
 
         async def mount(scan: Scan) -> None:
-            if laboratory is None:
-                await ask(scan)
-            else:
-                laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
+            nonlocal lying
+            wanted = scan.kind, scan.sample
+            if wanted != lying:
+                lying = None
+                if laboratory is None:
+                    await ask(scan)
+                else:
+                    laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
+                lying = wanted
+            if laboratory is not None:
+                laboratory.bench.begin(scan.repeat or 1)
 
         yield instrument, mount
 
@@ -213,12 +236,22 @@ class RunResult:
 
 
 async def run(
-    store: Store, campaign: Campaign, output: Path, settings: InstrumentSettings | None, watch: Watch
+    store: Store,
+    campaign: Campaign,
+    output: Path,
+    settings: InstrumentSettings | None = None,
+    watch: Watch = QUIET,
+    *,
+    bench: OpenBench | None = None,
+    lamp_is_warm: bool = False,
 ) -> RunResult:
-    """Run or resume `campaign`, fit every finished scan and write its files into a folder a sample below `output`.
+    """Run or resume `campaign`, fit every finished scan and write its files into a folder a scan below `output`.
 
-    Fits run in a process of their own while the next sample is measured; a sample that cannot be calibrated or
-    fitted does not stop the others. Raises `StoreBusy` and what `run_campaign` raises.
+    `settings` of None are those of the simulated bench. A `bench` that is open, and was opened with the same settings,
+    is used and left open, so that its lamp stays warm from one campaign to the next; without one the bench is opened
+    for this run, and `lamp_is_warm` is the word of an operator who has seen it burn. Fits run in a process of their
+    own while the next sample is measured; a sample that cannot be calibrated or fitted does not stop the others.
+    Raises `StoreBusy` and what `run_campaign` raises.
     """
     certificate = panel_certificate(campaign, settings)
     _check_certificate(store, campaign, certificate)
@@ -236,7 +269,7 @@ async def run(
             try:
                 made = make_dataset(store, scan.id)
             except (CalibrationError, CertificateError) as error:
-                failures.append(f"{scan.sample}: {error}")
+                failures.append(f"{scan.name}: {error}")
                 return
             waiting[made] = start_derivation(executor, store, scan, store.dataset(made), output)
 
@@ -244,7 +277,12 @@ async def run(
         known = campaign.name in store.campaigns().values()
         campaign_id = store.add_campaign(campaign, certificate) if known else None
         if campaign_id is None or any(scan.outcome != "completed" for scan in store.scans(campaign_id)):
-            async with open_bench(settings, campaign.seed, watch.mount) as (instrument, mount):
+            opened = (
+                nullcontext(bench)
+                if bench is not None
+                else open_bench(settings, campaign.seed, watch.mount, lamp_is_warm=lamp_is_warm)
+            )
+            async with opened as (instrument, mount):
                 campaign_id = await run_campaign(
                     store, campaign, instrument, mount, watch.report, finished, certificate
                 )
@@ -307,14 +345,15 @@ def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> Non
 
 
 def _check_folders(store: Store, campaign: Campaign) -> None:
-    """Raise `CampaignError` where results of two samples, or of two campaigns, would go into one folder."""
+    """Raise `CampaignError` where results of two scans, or of two campaigns, would go into one folder."""
     folders: dict[str, str] = {}
-    for name in (sample.name for sample in campaign.samples):
-        other = folders.setdefault(slug(name), name)
-        if other != name:
+    for name in (name for name, sample in campaign.series if sample is not None):
+        other = folders.pop(slug(name), None)
+        folders[slug(name)] = name
+        if other is not None:
             raise CampaignError(
                 f'The samples "{other}" and "{name}" would both be kept in the folder {slug(name)}; '
-                f"give one of them another name."
+                f"give one sample another name."
             )
     for name in store.campaigns().values():
         if name != campaign.name and slug(name) == slug(campaign.name):
@@ -332,7 +371,7 @@ def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
     dataset_id = max(own_datasets(store, scan.id), default=None)
     if dataset_id is None:
         return None
-    folder = (output / slug(scan.sample)).resolve()
+    folder = (output / slug(scan.name)).resolve()
     files = [Path(export.text) for export in store.exports(dataset_id) if Path(export.text).parent == folder]
     fitted = any(fit.kind == "analysis" for fit in store.fits(dataset_id))
     # the report is written last
@@ -342,7 +381,7 @@ def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
 
 def start_derivation(executor: Executor, store: Store, scan: Scan, dataset: Dataset, output: Path) -> "Future[Derived]":
     """Start fitting `dataset` and writing its files."""
-    return executor.submit(derive, dataset, run_facts(store, scan), (output / slug(scan.sample)).resolve())
+    return executor.submit(derive, dataset, run_facts(store, scan), (output / slug(scan.name)).resolve())
 
 
 def keep(store: Store, dataset_id: int, derived: Derived) -> None:

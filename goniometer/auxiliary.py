@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Campaign
+from goniometer.campaign import Campaign, Integration
 from goniometer.errors import GeometryError
 from goniometer.exposure import DarkSignal, detector_of, ladder, step_down, take
 from goniometer.geometry import Geometry
@@ -75,6 +75,11 @@ def _signal(counts: CountArray, temperature: float) -> DarkSignal:
     return DarkSignal(np.asarray(counts.mean(axis=0)), float(counts.var(axis=0, ddof=1).mean()), temperature)
 
 
+def once(policy: Integration) -> Integration:
+    """The policy of a single spectrum of the time that suits what is seen."""
+    return policy.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
+
+
 class Auxiliary:
     """Stray light and monitors of one run of a scan, of which `raw` holds what earlier runs have taken."""
 
@@ -116,8 +121,7 @@ class Auxiliary:
             self._looked = instrument.clock.now()  # not again at the next point
             return
         if self._monitor_time is None:
-            policy = self._campaign.integration.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
-            taken = await take(instrument, self._detector, policy, None, self._darks.of)
+            taken = await take(instrument, self._detector, once(self._campaign.integration), None, self._darks.of)
             spectra, moment = taken.spectra, taken.moment
         else:
             spectra = [await instrument.expose(self._monitor_time)]

@@ -279,13 +279,14 @@ def calibrate_scan(
     certificate: PanelCertificate | None = None,
     override: Override | None = None,
 ) -> Dataset:
-    """`calibrate` on a scan in the database, with the reference scan of its campaign, and the sanity checks.
+    """`calibrate` on a scan in the database, with the reference scan that serves it, and the sanity checks.
 
     `certificate` and `override` replace those of the campaign. Raises `CertificateError` where the certificate is
     missing or was not valid on the day of the reference scan and nobody overrides that.
     """
     scans = store.scans(store.scan(scan_id).campaign_id)
-    reference = read_raw(store, scans[0].id)
+    reference_scan = store.reference_scan(scan_id)
+    reference = read_raw(store, reference_scan.id)
     sample = read_raw(store, scan_id)
     campaign_id = store.scan(scan_id).campaign_id
     if certificate is None:
@@ -295,7 +296,8 @@ def calibrate_scan(
     overridden = check_validity(certificate, reference.day, override)
     number = next(scan.number for scan in scans if scan.id == scan_id)
     watched = len(sample.monitors) > 1
-    between = [read_raw(store, s.id) for s in scans[1:number] if watched and s.outcome == "completed"]
+    since = scans[reference_scan.number + 1 : number]
+    between = [read_raw(store, s.id) for s in since if watched and s.outcome == "completed"]
     dataset = calibrate(sample, reference, certificate, settings, between)
     spot = None
     after = scans[number + 1] if number + 1 < len(scans) else None

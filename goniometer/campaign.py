@@ -10,6 +10,7 @@ that runs:
 
 import hashlib
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self
 
@@ -27,6 +28,7 @@ from pydantic import (
     model_validator,
 )
 
+from goniometer.conditions import Conditions
 from goniometer.errors import CampaignError
 from goniometer.geometry import LARGEST_ANGLE, Geometry
 from goniometer.quantities import Angle, Duration, Length
@@ -53,6 +55,8 @@ class Sample(_Model):
     diameter: Length = Field(default=50.0, gt=0, description="Of the round sample, mm.")
     description: str = Field(default="", description="What it is, in words.")
     preparation: str = Field(default="", description="How its surface was made, in words.")
+    repeats: int = Field(default=1, ge=1, le=1000, description="How often it is measured, each time as a whole.")
+    wait: Duration = Field(default=0.0, ge=0, description="Before each of its scans, once it is mounted, seconds.")
 
 
 class AngleSteps(_Model):
@@ -195,6 +199,9 @@ class Override(_Model):
 class Reference(_Model):
     """How the reference panel is measured; its scan comes first."""
 
+    every_round: bool = Field(
+        default=False, description="Whether it is measured again at the start of each round, and serves that round."
+    )
     certificate: str | None = Field(
         default=None,
         description="CSV file of the panel's certificate, relative to the campaign file; none: nominal values.",
@@ -217,6 +224,7 @@ class Campaign(_Model):
     name: str = Field(min_length=1, description="Name of the campaign; a database holds one campaign of a name.")
     seed: int = Field(default=0, ge=0, description="Seed of the simulated bench; a real bench has no use for it.")
     samples: tuple[Sample, ...] = Field(min_length=1, description="What to measure, in this order.")
+    rounds: int = Field(default=1, ge=1, le=1000, description="How often the whole series of samples is measured.")
     incident: Incident = Field(
         default=AngleSteps(start=0, stop=80, step=10),
         description="Incident angles, degrees: start, stop and step, or a list.",
@@ -234,6 +242,7 @@ class Campaign(_Model):
     homogeneity: Homogeneity | None = Field(
         default=None, description="Whether every sample is measured again at another place; null: not."
     )
+    conditions: Conditions = Field(default=Conditions(), description="What must hold before every scan.")
 
     @field_validator("samples")
     @classmethod
@@ -279,6 +288,22 @@ class Campaign(_Model):
         return tuple(sorted(angles))
 
     @property
+    def series(self) -> tuple[tuple[str, Sample | None], ...]:
+        """Name and sample of every measurement in its order; None stands for the reference panel."""
+        panels = self.rounds if self.reference.every_round else 1
+        seen: Counter[str] = Counter()
+        found: list[tuple[str, Sample | None]] = []
+        for number in range(1, self.rounds + 1):
+            if number <= panels:
+                found.append((numbered("reference", number if panels > 1 else None), None))
+            for sample in self.samples:
+                more = sample.repeats * self.rounds > 1
+                for _ in range(sample.repeats):
+                    seen[sample.name] += 1
+                    found.append((numbered(sample.name, seen[sample.name] if more else None), sample))
+        return tuple(found)
+
+    @property
     def canonical_json(self) -> str:
         """The campaign as JSON with sorted keys, all defaults written out, quantities in degrees and seconds."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
@@ -288,11 +313,29 @@ class Campaign(_Model):
         """SHA-256 of all that decides what is measured, so that nobody resumes under a changed campaign.
 
         The path of the certificate is left out: the database keeps, and compares, what stands in the file. So is who
-        overrides what it says: that may be decided when everything is measured.
+        overrides what it says: that may be decided when everything is measured. Conditions and waits decide when
+        something is measured and not what, so whoever was too impatient need not begin anew.
         """
         content = self.model_dump(mode="json")
-        del content["reference"]["certificate"], content["reference"]["override"]
+        del content["reference"]["certificate"], content["reference"]["override"], content["conditions"]
+        for sample in content["samples"]:
+            del sample["wait"]
+        # what is measured once has the hash that it had when nothing could be measured again
+        for part, key in ((content, "rounds"), *((sample, "repeats") for sample in content["samples"])):
+            if part[key] == 1:
+                del part[key]
+        if not content["reference"]["every_round"]:
+            del content["reference"]["every_round"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def numbered(name: str, repeat: int | None) -> str:
+    """What the measurement `repeat` of `name`, counted from 1, is called; None where there is only one.
+
+    >>> numbered("Sample 1", 2), numbered("Sample 1", None)
+    ('Sample 1 #2', 'Sample 1')
+    """
+    return name if repeat is None else f"{name} #{repeat}"
 
 
 class _StrictLoader(yaml.SafeLoader):

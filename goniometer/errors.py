@@ -10,6 +10,7 @@ GoniometerError
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
 │   └── NotInStore        what was asked for is not there (exit code 2)
+├── ConditionsUnmet       what must hold before a scan did not in time
 ├── ReferenceIncomplete   points of the reference scan that failed
 ├── CalibrationError      raw data that cannot be calibrated
 ├── CharacterisationError what was to be measured of the bench itself does not show
@@ -67,6 +68,10 @@ class NotInStore(StoreError):
     """What was asked for is not in the database."""
 
     exit_code = 2
+
+
+class ConditionsUnmet(GoniometerError):
+    """What a campaign asks for before a scan did not hold in time."""
 
 
 class ReferenceIncomplete(GoniometerError):

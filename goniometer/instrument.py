@@ -87,6 +87,7 @@ class Instrument:
         self._detector_target: float | None = None
         self._shutter_open: bool | None = None
         self._last_count: int | None = None
+        self._lamp_since = math.inf  # on the clock; infinite where no lamp was switched on
         # names of stages that did not read what they read when they were left
         self._astray: set[str] = set()
         # what the stages read after homing, and corners of the rectangle somewhere in which the arm is now
@@ -124,6 +125,23 @@ class Instrument:
         """Counts at and above which a pixel is saturated."""
         return self._spectrometer.saturation
 
+    @property
+    def lamp_on_for(self) -> float:
+        """Seconds for which the lamp has been on for all that is known; negative where it was not switched on.
+
+        A lamp that burned before it was switched on here counts as cold, and so does one after a recovery, because
+        nobody knows whether it burned meanwhile; `trust_lamp` is for who does.
+        """
+        return self.clock.now() - self._lamp_since
+
+    def trust_lamp(self) -> None:
+        """Believe an operator who says that the lamp is warm."""
+        self._lamp_since = -math.inf
+
+    async def wait_until_cold(self) -> None:
+        """Return when the detector rests at its set point; raises `DeviceTimeout` when it does not get there."""
+        await self._spectrometer.wait_until_cold()
+
     async def open(self) -> None:
         """Connect to all devices, switch the lamp on and find both reference marks.
 
@@ -136,7 +154,7 @@ class Instrument:
         await self._sample_stage.open()
         await self._detector_stage.open()
         await self._set_shutter(False)
-        await self._light.set_lamp(True)
+        await self._switch_lamp_on()
         if self.forbidden:
             detector = await _home(self._detector_stage)
             sample = await _home(self._sample_stage)
@@ -308,6 +326,10 @@ class Instrument:
             await self._light.set_shutter(is_open)
             self._shutter_open = is_open
 
+    async def _switch_lamp_on(self) -> None:
+        await self._light.set_lamp(True)
+        self._lamp_since = self.clock.now()
+
     async def _checked(self, spectrum: Spectrum, integration_time: float) -> Spectrum:
         """`spectrum`, if it can be the one that was asked for: the last look before it is stored."""
         name = self._spectrometer.name
@@ -353,7 +375,7 @@ class Instrument:
         self._forget()
         await self._spectrometer.open()
         await self._set_shutter(False)
-        await self._light.set_lamp(True)
+        await self._switch_lamp_on()
         for axis, stage in ((1, self._detector_stage), (0, self._sample_stage)):
             try:
                 state = await stage.state()

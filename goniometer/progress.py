@@ -7,12 +7,22 @@ from goniometer.records import Kind, Phase
 
 
 @dataclass(frozen=True)
+class Waiting:
+    """What a scan waits for instead of measuring."""
+
+    what: str
+    """In words, as "warming the lamp"."""
+    left: float | None
+    """Seconds of bench time to go; None where nobody knows."""
+
+
+@dataclass(frozen=True)
 class Progress:
     """A snapshot of a running scan."""
 
     scan_id: int
     sample: str
-    """Name of the sample; "reference" for the reference scan."""
+    """Name of the scan: that of its sample, with the number of the repeat, or "reference"."""
     kind: Kind
     phase: Phase
     geometry: Geometry | None
@@ -31,6 +41,8 @@ class Progress:
     """Seconds of real time since this run of the scan began."""
     remaining: float | None
     """Seconds of real time to go; None until this run has done a point."""
+    waiting: Waiting | None = None
+    """None while it measures."""
 
     @property
     def fraction(self) -> float:

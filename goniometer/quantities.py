@@ -1,7 +1,7 @@
 """Quantities in a campaign file: a number in the documented unit, or a text with a unit.
 
 `10`, `"10 deg"`, `"0.17 rad"` for an angle; `30`, `"30 s"`, `"8 ms"`, `"500 us"` for a time; `50`, `"50 mm"`, `"5 cm"`
-for a length.
+for a length, `0.002`, `"0.2 %"` for a ratio.
 """
 
 import math
@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field
 ANGLE_UNITS = {"deg": 1.0, "°": 1.0, "rad": 180 / math.pi, "mrad": 0.18 / math.pi}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0}
 LENGTH_UNITS = {"mm": 1.0, "cm": 10.0}
+RATIO_UNITS = {"%": 0.01}
 
 
 def _quantity(value: object, units: dict[str, float], kind: str) -> object:
@@ -43,9 +44,15 @@ def _length(value: object) -> object:
     return _quantity(value, LENGTH_UNITS, "a length")
 
 
+def _ratio(value: object) -> object:
+    return _quantity(value, RATIO_UNITS, "a ratio")
+
+
 Angle = Annotated[float, BeforeValidator(_angle), Field(allow_inf_nan=False)]
 """Degrees."""
 Duration = Annotated[float, BeforeValidator(_time), Field(allow_inf_nan=False)]
 """Seconds."""
 Length = Annotated[float, BeforeValidator(_length), Field(allow_inf_nan=False)]
 """Millimetres."""
+Ratio = Annotated[float, BeforeValidator(_ratio), Field(allow_inf_nan=False)]
+"""A number without unit; a text may say it in per cent."""

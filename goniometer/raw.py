@@ -109,7 +109,7 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
     light = [e for e in of_kind["light"] if e.point_id in number]
     return RawScan(
         scan_id=scan_id,
-        sample=scan.sample,
+        sample=scan.name,
         diameter=campaign.reference.diameter if scan.kind == "reference" else diameters[scan.sample],
         day=begun,
         constants=store.constants(scan_id),

@@ -13,6 +13,7 @@ from sqlalchemy import Row
 
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
+from goniometer.campaign import numbered
 from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset
 from goniometer.errors import StoreError
@@ -48,6 +49,13 @@ class Scan:
     """What somebody asked for and the scheduler has not taken up yet."""
     started: str | None
     finished: str | None
+    repeat: int | None = None
+    """Which measurement of its sample in the campaign this is, counted from 1; None where there is only one."""
+
+    @property
+    def name(self) -> str:
+        """How people call it: its sample, with the number of the repeat where there are several."""
+        return numbered(self.sample, self.repeat)
 
 
 @dataclass(frozen=True)
@@ -126,7 +134,7 @@ def now() -> str:
 
 
 def to_scan(row: Row[Any]) -> Scan:
-    """A row of `tables.scans`."""
+    """A row of `tables.scans` with its `repeat`."""
     return Scan(**{field.name: getattr(row, field.name) for field in fields(Scan)})
 
 

@@ -18,6 +18,10 @@ was killed, goes on where it stood when its campaign is run again; a completed o
 After every fault of a device the bench is made safe and then usable again (`Instrument.recover`), and the point is
 tried again. The scan fails when the bench cannot be recovered, or when points fail one after the other.
 
+Points are measured when the sample is mounted, the time that it asks for has passed, and the conditions of the campaign
+hold (`goniometer.waiting`); they are looked at again after a pause. A scan that has points does not let the time pass
+again.
+
 Everything that decides what happens next is read from the database. A batch of the plan is written before its
 first point is measured and a point together with its exposures, so a resumed scan measures the same
 directions with the same integration times as one that was never interrupted. Darks, stray light and looks at the lamp
@@ -41,11 +45,12 @@ from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset
 from goniometer.plan import plan_spec
-from goniometer.progress import Progress
+from goniometer.progress import Progress, Waiting
 from goniometer.raw import RawScan, read_raw
 from goniometer.records import Outcome, Phase, Point, Scan
 from goniometer.safety import check_plan
 from goniometer.store import Store
+from goniometer.waiting import Readiness, pass_time
 
 ATTEMPTS = 3
 """How often a point is tried before it is given up."""
@@ -64,8 +69,8 @@ _ABORTED = "The operator aborted it; run the campaign again to go on where it st
 log = logging.getLogger(__name__)
 
 Mount = Callable[[Scan], Coroutine[Any, Any, None]]
-"""Called before a scan; returns when its sample, or the reference panel, lies on the bench: for the scan of a spot the
-sample with another place in the light, or turned by 90 degrees about its normal."""
+"""Called before every scan, also where its sample lies there already; returns when the sample, or the reference panel,
+lies on the bench: for the scan of a spot with another place in the light, or turned by 90 degrees about its normal."""
 Report = Callable[[Progress], None]
 """Called at every change; must return soon."""
 
@@ -87,8 +92,8 @@ async def run_campaign(
     `on_scan_finished` is called once the scan of a sample is complete and that of its spot has ended, however it did,
     and for one that was complete before but lacks its dataset, so that nothing is lost to what comes next. Raises
     `CampaignError` (changed content or certificate, impossible integration times), `GeometryError` (directions that the
-    bench cannot take), `RunAborted` (an operator's wish), `ReferenceIncomplete`, and what stopped the campaign:
-    `DriverError`, ...
+    bench cannot take), `RunAborted` (an operator's wish), `ConditionsUnmet`, `ReferenceIncomplete`, and what stopped
+    the campaign: `DriverError`, ...
     """
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
@@ -121,7 +126,7 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
     store.set_phase(scan_id, "running")
     try:
         if run.has_nothing_to_compare():
-            reason = f"No direction of {scan.sample} has a value with which another spot could be compared."
+            reason = f"No direction of {scan.name} has a value with which another spot could be compared."
             log.warning("%s", reason)
             store.finish_scan(scan_id, "failed", reason)
             return
@@ -171,6 +176,7 @@ class _Run:
         # Repeats stored exposures, so that choosing an exposure does not read them all again.
         self.seen: dict[float, list[tuple[float, Brightness]]] = {}
         self.began = time.monotonic()
+        self.waiting: Waiting | None = None
         self.done = self.done_before = self.failed = self.expected = 0
         self.bench_seconds = 0.0
 
@@ -182,6 +188,8 @@ class _Run:
         self.darks = Darks(self.store, self.scan.id, self.instrument, raw.darks)
         self.auxiliary = Auxiliary(self.store, self.instrument, self.campaign, raw, self.darks)
         self._recall(raw)
+        await self._pass_time()
+        await self._make_ready()
         failures = 0
         while batch := self._pending():
             for point in batch:
@@ -199,6 +207,32 @@ class _Run:
             raise fault
         if self.scan.kind == "reference":
             self._check_whole()
+
+    async def _pass_time(self) -> None:
+        """Let the time pass that the sample asks for, unless this scan has begun before."""
+        seconds = {sample.name: sample.wait for sample in self.campaign.samples}
+        if self.scan.kind == "sample" and not self.store.points(self.scan.id):
+            clock = self.instrument.clock
+            await self.unless_aborted(pass_time(clock, seconds[self.scan.sample], "as the campaign asks", self._wait))
+            self._wait(None)
+
+    async def _make_ready(self) -> None:
+        """Wait until the conditions of the campaign hold; raises `ConditionsUnmet` and `DriverError`."""
+        readiness = Readiness(self.campaign, self.instrument, self.detector, self.darks, self._wait)
+        fault = await self._tried(readiness.reach, "before the first point")
+        self._wait(None)
+        if fault is not None:
+            raise fault
+
+    def _wait(self, waiting: Waiting | None) -> None:
+        """Tell what is waited for now, None for nothing more."""
+        before, self.waiting = self.waiting, waiting
+        if waiting is None and before is None:
+            return
+        what = None if waiting is None else waiting.what
+        if before is None or what != before.what:
+            self.store.explain(self.scan.id, "" if what is None else f"It waits: {what}.")
+        self.tell("running")
 
     def _check_whole(self) -> None:
         """Raise `ReferenceIncomplete` where a point failed: the next run tries it again, before any sample."""
@@ -220,7 +254,7 @@ class _Run:
         self.report(
             Progress(
                 self.scan.id,
-                self.scan.sample,
+                self.scan.name,
                 self.scan.kind,
                 phase,
                 geometry,
@@ -231,6 +265,7 @@ class _Run:
                 remaining * self.bench_seconds / self.done if self.done else None,
                 elapsed,
                 remaining * elapsed / here if here else None,
+                self.waiting,
             )
         )
 
@@ -311,6 +346,7 @@ class _Run:
         if command == "resume":
             self.store.clear_command(self.scan.id, command)
             self.store.set_phase(self.scan.id, "running")
+            await self._make_ready()
 
     async def _attempt(self, point: Point) -> DriverError | GeometryError | None:
         """Measure a point, trying again after a fault; returns why it was given up, or None.

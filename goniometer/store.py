@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Subquery, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -39,6 +39,15 @@ from goniometer.records import (
 )
 
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
+
+
+def _counted_scans() -> Subquery:
+    """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
+    here = tables.scans.c
+    alike = (here.campaign_id, here.kind, here.sample)
+    place = func.row_number().over(partition_by=alike, order_by=here.number)
+    count = func.count().over(partition_by=alike)
+    return select(tables.scans, case((count > 1, place)).label("repeat")).subquery()
 
 
 class Store(Derived):
@@ -86,17 +95,21 @@ class Store(Derived):
                 certificate=certificate,
                 created=now(),
             )
-            things = [("reference", "reference", "spectralon")]
             kinds = ("sample",) if campaign.homogeneity is None else ("sample", "spot")
-            things += [(kind, sample.name, sample.material) for sample in campaign.samples for kind in kinds]
-            for number, (kind, sample, material) in enumerate(things):
+            things: list[tuple[str, str, str]] = []
+            for _, sample in campaign.series:
+                if sample is None:
+                    things.append(("reference", "reference", "spectralon"))
+                else:
+                    things += [(kind, sample.name, sample.material) for kind in kinds]
+            for number, (kind, name, material) in enumerate(things):
                 insert_row(
                     connection,
                     tables.scans,
                     campaign_id=campaign_id,
                     number=number,
                     kind=kind,
-                    sample=sample,
+                    sample=name,
                     material=material,
                     phase="idle",
                 )
@@ -119,18 +132,26 @@ class Store(Derived):
 
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
-        return to_scan(self._one(select(tables.scans).where(tables.scans.c.id == scan_id), f"scan {scan_id}"))
+        counted = _counted_scans()
+        return to_scan(self._one(select(counted).where(counted.c.id == scan_id), f"scan {scan_id}"))
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        query = select(tables.scans).order_by(tables.scans.c.campaign_id, tables.scans.c.number)
+        counted = _counted_scans()
+        query = select(counted).order_by(counted.c.campaign_id, counted.c.number)
         if campaign_id is not None:
-            query = query.where(tables.scans.c.campaign_id == campaign_id)
+            query = query.where(counted.c.campaign_id == campaign_id)
         return [to_scan(row) for row in self._all(query)]
 
     def reference_scan(self, scan_id: int) -> Scan:
-        """The reference scan of the campaign that `scan_id` belongs to; raises `NotInStore`."""
-        return self.scans(self.scan(scan_id).campaign_id)[0]
+        """The last reference scan of its campaign up to `scan_id`, which serves it; raises `NotInStore`."""
+        scan = self.scan(scan_id)
+        before = self.scans(scan.campaign_id)[: scan.number + 1]
+        return next(s for s in reversed(before) if s.kind == "reference")
+
+    def explain(self, scan_id: int, reason: str) -> None:
+        """Note why a scan that runs does not measure, as a sentence; empty when it does."""
+        self._update(tables.scans, scan_id, reason=reason)
 
     def set_phase(self, scan_id: int, phase: Phase) -> None:
         """Note what a scan is doing; the first "running" is its start, and forgets how it ended before."""

@@ -16,9 +16,9 @@ the bench does wrong, such as zeros of stages or a shifted wavelength scale, are
 polarisation, and the spectrometer's resolution for anything but the lines of a lamp.
 
 Nothing is drawn from a running stream of random numbers. The noise of a read-out is a function of the seed, the
-sample and the spot on it, where the stages truly stand, the integration time, shutter and lamp, and how many such
-read-outs went before since the sample was mounted: a measurement that is killed and resumed reads the same counts as
-one that was not.
+sample and the spot on it, the repeat of its measurement, where the stages truly stand, the integration time, shutter
+and lamp, and how many such read-outs went before since the sample was mounted: a measurement that is killed and resumed
+reads the same counts as one that was not.
 """
 
 import math
@@ -105,7 +105,7 @@ class OpticalBench:
     ) -> None:
         """Set the bench up with nothing mounted.
 
-        With a lamp that drifts a resumed measurement is no longer the same bit by bit.
+        With a lamp that drifts or warms up a resumed measurement is no longer the same bit by bit.
         """
         self.imperfections = imperfections
         """What it does wrong."""
@@ -130,12 +130,21 @@ class OpticalBench:
         """Number of the spot on it that is looked at."""
         return self._spot
 
+    @property
+    def circumstances(self) -> tuple[object, ...]:
+        """What random errors depend on beside where the stages stand: sample, spot, and a repeat beyond the first."""
+        return (self.mounted, self.spot) if self._repeat == 1 else (self.mounted, self.spot, self._repeat)
+
     def mount(self, material_name: str, spot: int = 0) -> None:
         """Lay a material on the sample stage, so that `spot` of it is looked at; raises `UnknownMaterial`.
 
         Spot 0 is the first place or azimuth, 1 another one, and so on; only inhomogeneous samples look different there.
         """
         self._lay(material(material_name), spot)
+
+    def begin(self, repeat: int) -> None:
+        """From now on the random errors are those of measurement `repeat` of what is mounted, counted from 1."""
+        self._repeat = repeat
 
     def read_out(
         self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
@@ -147,7 +156,7 @@ class OpticalBench:
         """
         geometry = self.geometry()
         microseconds = round(integration_time * 1e6)
-        key = (self._seed, self.mounted, self.spot, geometry, microseconds, shutter_open, lamp_on)
+        key = (self._seed, *self.circumstances, geometry, microseconds, shutter_open, lamp_on)
         random = generator(*key, self._identical[key])
         self._identical[key] += 1
         light = np.zeros(PIXELS)
@@ -183,7 +192,7 @@ class OpticalBench:
         return np.interp(light * (1 + error), _TRUE, _READ)
 
     def _lay(self, mounted: Mountable, spot: int) -> None:
-        self._mounted, self._spot = mounted, spot
+        self._mounted, self._spot, self._repeat = mounted, spot, 1
         self._lines = self._emission(mounted) if isinstance(mounted, Emitter) else np.zeros(PIXELS)
         self._seen = None
         self._identical.clear()

@@ -24,6 +24,9 @@ DRAWN_STRAY_LIGHT = (1e-4, 5e-4)
 DRIFT_PERIOD = 3600.0
 """Period of the lamp's slow drift, seconds."""
 
+WARM_UP_TIME = 300.0
+"""Seconds in which what a cold lamp lacks falls to 1/e."""
+
 PANEL_CORRELATION = 35.0
 """Degrees of either angle over which the panel's departure from its certificate loses its likeness (exp(-1/2))."""
 
@@ -39,6 +42,8 @@ class Imperfections:
     """Relative amplitude, at 600 nm, of a slow sine of the lamp's output over time."""
     lamp_phase: float = 0.0
     """Of that sine at the start of the clock, degrees."""
+    lamp_warm_up: float = 0.0
+    """By how much of its output, at 600 nm, the lamp is dimmer when it is switched on: at the start of the clock."""
     stray_light: float = STRAY_LIGHT
     """As the BRDF times cos(theta_in) that would give the same signal, 1/sr; the same at all angles."""
     nonlinearity: float = 0.0
@@ -62,13 +67,14 @@ class Imperfections:
     """Amplitude of a slow sine of the sensor's temperature, degrees Celsius."""
 
     def lamp(self, moment: float, wavelengths: FloatArray) -> FloatArray:
-        """[wavelengths] output of the lamp at `moment`, seconds, relative to its mean.
+        """[wavelengths] output of the warm lamp at `moment`, seconds, relative to its mean; less while it warms up.
 
         A filament that gets hotter brightens the blue most: the relative change goes with 1 / lambda (Wien's law, for
         a small change of temperature). `wavelengths` in nm.
         """
         sine = np.sin(2 * np.pi * moment / DRIFT_PERIOD + np.radians(self.lamp_phase))
-        return np.asarray(1 + self.lamp_drift * sine * 600.0 / wavelengths)
+        missing = self.lamp_warm_up * np.exp(-moment / WARM_UP_TIME)
+        return np.asarray(1 + (self.lamp_drift * sine - missing) * 600.0 / wavelengths)
 
     def panel(
         self, certificate: Certificate, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray

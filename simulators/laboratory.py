@@ -93,16 +93,14 @@ def simulated_laboratory(
         limits=(-5.0, 95.0),
         # Errors depend on what is measured and not on time, so that a resumed scan repeats those of a killed one; a
         # move that is made again for another sample or direction has another error, as on a real stage.
-        positioning_error=lambda target: sample_error(target, bench.mounted, bench.spot),
+        positioning_error=lambda target: sample_error(target, *bench.circumstances),
     )
     detector_axis = Axis(
         clock,
         velocity=30.0,
         acceleration=60.0,
         limits=(-95.0, 180.0),
-        positioning_error=lambda target: detector_error(
-            target, bench.mounted, bench.spot, round(sample_axis.position(), 4)
-        ),
+        positioning_error=lambda target: detector_error(target, *bench.circumstances, round(sample_axis.position(), 4)),
     )
     bench = OpticalBench(
         clock, seed=seed, sample_axis=sample_axis, detector_axis=detector_axis, imperfections=imperfections
