@@ -155,9 +155,10 @@ def _demanded(conditions: Conditions) -> list[str]:
         )
     if conditions.lamp_change is not None:
         demands.append(
-            f"the lamp changes by less than {conditions.lamp_change:.3g} in {duration(conditions.lamp_change_within)}, "
-            f"which every scan waits for at least that long"
+            f"the lamp changes by less than {100 * conditions.lamp_change:.3g} % in "
+            f"{duration(conditions.lamp_change_within)}, which every scan takes at least that long to see"
         )
     if not demands:
         return []
-    return [f"No scan begins before {'; '.join(demands)}; one fails after {duration(conditions.patience)} of that."]
+    longest = duration(conditions.patience)
+    return [f"No scan begins before {'; '.join(demands)}; one that would have to wait for more than {longest} fails."]

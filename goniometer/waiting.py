@@ -96,8 +96,8 @@ class Readiness:
         before, change = await self._look(None), np.inf
         while True:
             pause = max(before.moment + within - before.time / 2 - self._clock.now(), 0.0)
-            known = "" if np.isinf(change) else f", which changed by {change:.2%} in {within:g} s"
-            self._check_patience(pause, f"the signal of the lamp{known} must change by less than {most:.2%}")
+            known = "" if np.isinf(change) else f", which changed by {100 * change:.2g} % in {within:g} s"
+            self._check_patience(pause, f"the signal of the lamp{known} must change by less than {100 * most:.3g} %")
             await pass_time(self._clock, pause, f"watching the lamp{known}", self._tell)
             now = await self._look(before.time)
             seen = np.isfinite(before.light) & np.isfinite(now.light)
