@@ -1,9 +1,12 @@
 """What the documents show is what the program takes."""
 
 import re
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 from api.settings import load_instrument
 from goniometer.campaign import Campaign, Sample, load_campaign
@@ -32,3 +35,18 @@ def test_the_script_in_the_documents_breaks_a_stage_and_the_driver_survives() ->
     assert "LOSE_REPLY" in happened
     assert "CORRUPT" in happened
     assert "asking again" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_campaign_script_in_the_documents_measures_again_where_the_budget_says_so(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error::RuntimeWarning", str(ROOT / "docs" / "scripted_campaign.py")]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=True)
+    lines = done.stdout.splitlines()
+    scans = [line.rsplit(":", 1)[0] for line in lines if not line.startswith(" ")]
+    assert scans == ["Sheet, Sheet #1", "Sheet, Sheet #2", "Sheet, finer, Sheet"]
+    worst = [float(re.findall(r"up to ([\d.]+)%", line)[0]) for line in lines if line.startswith(" ")]
+    assert max(worst[-2:]) < 0.5 * min(worst[:2])
+    assert len(list(tmp_path.glob("results/*/*/report.html"))) == 3
+    with sqlite3.connect(tmp_path / "scripted.db") as database:  # the bench was opened once
+        assert database.execute("SELECT count(DISTINCT session) FROM exposures").fetchone() == (1,)
+    database.close()

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import math
 
@@ -75,6 +76,13 @@ def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
         ),
         (SMALLEST + "reference: {diameter: 0 mm}", ["reference.diameter", "greater than 0"]),
         ("name: a\nsamples: [{name: s, material: m, diameter: 2 in}]", ["samples[0].diameter", '"in"', "mm, cm"]),
+        (SMALLEST + "rounds: 0", ["rounds", "1"]),
+        ("name: a\nsamples: [{name: s, material: m, repeats: 0}]", ["samples[0].repeats", "1"]),
+        ("name: a\nsamples: [{name: s, material: m, wait: 10 deg}]", ["samples[0].wait", '"deg"', "min"]),
+        (SMALLEST + "conditions: {lamp_change: 0.2 s}", ["conditions.lamp_change", '"s"', "%"]),
+        (SMALLEST + "conditions: {lamp_change: 200 %}", ["conditions.lamp_change", "less than 1"]),
+        (SMALLEST + "conditions: {lamp_warm: 2 h}", ["conditions", "7200 s", "3600 s"]),
+        (SMALLEST + "conditions: {lamp_is_warm: 2 h}", ["conditions.lamp_is_warm", 'did you mean "lamp_warm"']),
         (SMALLEST + "resolution: {mode: fine}", ["resolution.mode", "dynamic", "uniform"]),
         (SMALLEST + "resolution: {points: 0}", ["resolution.points", "1"]),
         (SMALLEST + "resolution: {time: 0 s}", ["resolution.time", "greater than 0"]),
@@ -142,6 +150,48 @@ def test_what_is_measured_beside_the_points_is_part_of_the_campaign(tmp_path):
     )
     hashes = {load(tmp_path, SMALLEST + change).hash for change in changes}
     assert len(hashes | {campaign.hash, without.hash}) == len(changes) + 2
+
+
+TWICE = "name: a\nsamples:\n  - {name: A, material: m, repeats: 2}\n  - {name: B, material: m}\n"
+
+
+def names(campaign):
+    return [name for name, _ in campaign.series]
+
+
+def test_repeats_are_counted_on_from_round_to_round_and_a_single_measurement_has_no_number(tmp_path):
+    assert names(load(tmp_path, TWICE)) == ["reference", "A #1", "A #2", "B"]
+    rounds = load(tmp_path, TWICE + "rounds: 2\nreference: {every_round: true}")
+    first, second = ["reference #1", "A #1", "A #2", "B #1"], ["reference #2", "A #3", "A #4", "B #2"]
+    assert names(rounds) == first + second
+    assert names(load(tmp_path, TWICE + "rounds: 2")) == ["reference", *first[1:], *second[1:]]
+
+
+def test_a_campaign_that_was_begun_before_anything_could_be_repeated_goes_on(tmp_path):
+    campaign = load(tmp_path, SMALLEST)
+    content = campaign.model_dump(mode="json")
+    for later in ("rounds", "conditions"):
+        del content[later]
+    for later in ("certificate", "override", "every_round"):
+        del content["reference"][later]
+    for later in ("repeats", "wait"):
+        del content["samples"][0][later]
+    assert campaign.hash == hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def test_how_often_is_part_of_what_is_measured_and_when_is_not(tmp_path):
+    def of(more, sample=""):
+        return load(tmp_path, SMALLEST.replace("sample-1}", f"sample-1{sample}}}") + more).hash
+
+    hashes = {of(""), of("rounds: 2"), of("rounds: 2\nreference: {every_round: true}"), of("", ", repeats: 2")}
+    assert len(hashes) == 4
+    assert of("", ", wait: 10 min") == of("conditions: {lamp_warm: 5 min, lamp_change: 0.2 %}") == of("")
+
+
+def test_a_change_of_the_lamp_may_be_said_in_per_cent(tmp_path):
+    said = load(tmp_path, SMALLEST + "conditions: {lamp_change: 0.2 %}").conditions
+    assert said.lamp_change == pytest.approx(0.002)
+    assert load(tmp_path, SMALLEST + "conditions: {lamp_change: 0.002}").conditions == said
 
 
 def test_a_sample_has_a_diameter_so_that_a_footprint_can_leave_it(tmp_path):

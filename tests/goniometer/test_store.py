@@ -122,6 +122,23 @@ def test_the_scan_of_another_spot_follows_its_sample(store):
     ]
 
 
+def test_each_repeat_is_a_scan_of_its_own_and_served_by_the_panel_of_its_round(store):
+    once, often = CAMPAIGN.samples[0], CAMPAIGN.samples[1].model_copy(update={"repeats": 2})
+    reference = Reference(every_round=True)
+    changes = {"samples": (once, often), "rounds": 2, "reference": reference, "homogeneity": Homogeneity()}
+    scans = store.scans(store.add_campaign(CAMPAIGN.model_copy(update=changes)))
+    assert [scan.name for scan in scans if scan.kind != "spot"] == [
+        *("reference #1", "Rough #1", "Mirror #1", "Mirror #2"),
+        *("reference #2", "Rough #2", "Mirror #3", "Mirror #4"),
+    ]
+    assert [scan.number for scan in scans] == list(range(14))
+    for scan in scans:
+        assert store.scan(scan.id) == scan
+        assert store.reference_scan(scan.id) == (scans[0] if scan.number < 7 else scans[7])
+        if scan.kind == "spot":
+            assert (scan.sample, scan.repeat) == (scans[scan.number - 1].sample, scans[scan.number - 1].repeat)
+
+
 def test_somebody_may_answer_for_a_certificate_that_expired_while_a_campaign_was_measured(store):
     campaign_id = store.add_campaign(CAMPAIGN)
     first_point(store)

@@ -53,6 +53,17 @@ def test_the_drift_begins_where_its_phase_says() -> None:
     )
 
 
+def test_a_lamp_that_warms_up_lacks_less_and_less_and_most_in_the_blue() -> None:
+    cold = Bench(lamp_warm_up=0.1).turn(0, 45)
+    warm = Bench().turn(0, 45).signal(10.0)
+    for moment in (0.0, 300.0, 1200.0):
+        cold.clock.advance_to(moment)
+        seen = cold.signal(10.0)
+        dimmed = warm * (1 - 0.1 * np.exp(-moment / 300.0) * 600 / cold.wavelengths)
+        for wavelength in (450.0, 900.0):
+            assert at(cold, seen, wavelength) == pytest.approx(at(cold, dimmed, wavelength), rel=1e-3)
+
+
 @pytest.mark.parametrize(("material", "theta_in", "theta_out"), [("nothing", 0, 45), ("sample-1", 30, -30)])
 def test_stray_light_is_all_there_is_on_an_empty_stage_and_behind_the_detector(
     material: str, theta_in: float, theta_out: float
