@@ -38,7 +38,7 @@ class Progress:
     bench_remaining: float | None
     """Seconds of bench time to go; None until a point is done."""
     elapsed: float
-    """Seconds of real time since this run of the scan began."""
+    """Seconds of real time since this run of the scan began; once it measures, since it began to."""
     remaining: float | None
     """Seconds of real time to go; None until this run has done a point."""
     waiting: Waiting | None = None

@@ -190,6 +190,7 @@ class _Run:
         self._recall(raw)
         await self._pass_time()
         await self._make_ready()
+        self.began = time.monotonic()  # what was waited for tells nothing about the time that points take
         failures = 0
         while batch := self._pending():
             for point in batch:
