@@ -40,7 +40,7 @@ class Glow:
         self.nonlinearity_coefficients: tuple[float, ...] = (0.875, 2.0**-20, 0, 0, 0, 0, 0, 0)
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
     ) -> CountArray:
         counts = np.full(self.pixels, 1000 + 1000 * integration_time + 100 * shutter_open + 200 * lamp_on)
         counts[0] = round(100 * self.clock.now())
@@ -325,8 +325,8 @@ def test_whatever_befalls_a_message_no_wrong_spectrum_comes_and_the_device_can_b
 
 def test_a_sequence_is_what_repeated_exposures_would_have_been() -> None:
     class Still:
-        def true_position(self) -> float:
-            return 40.0
+        def true_positions(self, moments: np.ndarray) -> np.ndarray:
+            return np.full(moments.shape, 40.0)
 
     def spectra(take: Callable[[QEPro], Awaitable[list[Spectrum]]]) -> np.ndarray:
         clock = SimulatedClock()

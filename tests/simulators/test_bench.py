@@ -139,7 +139,7 @@ def test_another_process_draws_the_same_noise() -> None:
     script = (
         "from simulators.bench import OpticalBench, positioning_error as p;"
         "from simulators.clock import SimulatedClock;"
-        "a = type('A', (), {'true_position': lambda self: 7.0})();"
+        "a = type('A', (), {'true_positions': lambda self, moments: 7.0 + 0 * moments})();"
         "b = OpticalBench(SimulatedClock(), seed=3, sample_axis=a, detector_axis=a);"
         "counts = b.read_out(0.1, shutter_open=False, lamp_on=True, sensor_temperature=-10.0);"
         "print(counts.sum(), p(3, 'sample stage')(12.5))"

@@ -76,7 +76,7 @@ def test_the_stage_stands_off_its_read_back_by_the_positioning_error() -> None:
     axis.move(30.0)
     clock.advance_to(60.0)
     assert axis.position() == 30.0
-    assert axis.true_position() == pytest.approx(30.3)
+    assert axis.true_positions(np.array([clock.now()])) == pytest.approx([30.3])
 
 
 def test_homing_ends_at_zero_and_is_told_apart_from_a_move() -> None:
