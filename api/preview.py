@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from analysis.budget_figure import side_by_side
 from analysis.plan_figure import arm_view, polar_view
 from api.display import duration
-from goniometer.campaign import Campaign, Integration
+from goniometer.campaign import Campaign, Integration, Prescan
 from goniometer.duration import EARLIER, Expected, expected
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
+from goniometer.prescan import cost
 from goniometer.route import Motion, travel
 
 
@@ -26,7 +27,7 @@ class Leg:
     sample_travel: float
     """Degrees that the sample stage turns between those that are certain."""
     detector_travel: float
-    """Degrees that the detector stage turns between them."""
+    """Degrees that the detector stage turns between them, a pre-scan included."""
     time: Expected
     """Until the scan is complete, seconds."""
 
@@ -48,7 +49,7 @@ class Preview:
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
     besides: tuple[str, ...]
-    """What is measured besides, as sentences; its time is not in that of the legs."""
+    """What is measured besides, as sentences; but for the pre-scan its time is not in that of the legs."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
@@ -87,7 +88,7 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
     samples = [
-        _leg(sample.name, first, most, spec, campaign.integration, campaign.integration.scans)
+        _leg(sample.name, first, most, spec, campaign.integration, campaign.integration.scans, campaign.prescan)
         for sample in campaign.samples
     ]
     return Preview(
@@ -102,19 +103,37 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     )
 
 
-def _leg(name: str, path: list[Geometry], most: int, spec: PlanSpec, integration: Integration, scans: int) -> Leg:
-    """A scan of `path` and perhaps more points, which then take as long as those of `path` do."""
+def _leg(
+    name: str,
+    path: list[Geometry],
+    most: int,
+    spec: PlanSpec,
+    integration: Integration,
+    scans: int,
+    prescan: Prescan | None = None,
+) -> Leg:
+    """A scan of `path` and perhaps more points, which then take as long as those of `path` do; with its pre-scan."""
     way = travel(path, spec.motion)
     alone = expected(path, spec.motion, integration, scans)
     longest = most / len(path)
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
+    sample, detector = way.sample, way.detector
+    if prescan is not None:
+        swept = cost(path, spec, prescan, spec.motion)
+        time += Expected(swept.seconds, swept.seconds, swept.seconds)
+        sample, detector = sample + swept.sample, detector + swept.detector
     if spec.most_seconds is not None:
         time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
-    return Leg(name, len(path), most, way.sample, way.detector, time)
+    return Leg(name, len(path), most, sample, detector, time)
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:
     told = []
+    if campaign.prescan is not None:
+        told.append(
+            f"Before the first point of an incident angle the arm sweeps over all its directions at "
+            f"{campaign.prescan.velocity:.3g}°/s, with a reading every {campaign.prescan.step:g}°."
+        )
     if campaign.stray_light:
         told.append("Stray light is measured once per incident angle of each scan.")
     if campaign.monitor is not None:

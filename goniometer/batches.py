@@ -21,10 +21,12 @@ from goniometer.plan import (
     reference_points,
     spot_points,
 )
+from goniometer.prescan import swept
 from goniometer.raw import read_raw
 from goniometer.records import Point, Scan
 from goniometer.response import Response, response
 from goniometer.store import Store
+from goniometer.sweep import Swept
 
 TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse pass, before anything is known about it."""
@@ -62,18 +64,19 @@ class Batches:
         The last point may be under way: then empty means that nothing can be said before it is finished.
         """
         if self.scan.kind == "sample":
-            seen = self._measured(self.scan, points[:-1])
-            batch = next_points(self.spec, seen, pending=[p.geometry for p in points[-1:]])
+            batch = next_points(
+                self.spec, *self._known(self.scan, points[:-1]), pending=[p.geometry for p in points[-1:]]
+            )
             if batch or not points or points[-1].status not in _FINISHED:
                 return batch
-            return next_points(self.spec, self._measured(self.scan, points))
+            return next_points(self.spec, *self._known(self.scan, points))
         if points:
             return []
         if self.scan.kind == "reference":
             return reference_points(self.spec, self.campaign.reference.step)
         assert self.campaign.homogeneity is not None  # or there were no such scan
         sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
-        seen = self._measured(sample, self.store.points(sample.id))
+        seen, _ = self._known(sample, self.store.points(sample.id))
         return spot_points(seen, self.campaign.homogeneity.points)
 
     def _expected(self, points: list[Point]) -> int:
@@ -85,7 +88,7 @@ class Batches:
         coarse = len(next_points(self.spec, []))
         finished = [p for p in points if p.status in _FINISHED]
         if len(finished) >= coarse:
-            return expected_total(self.spec, self._measured(self.scan, finished))
+            return expected_total(self.spec, self._known(self.scan, finished)[0])
         others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
         if not others:
             return round(TYPICAL_REFINEMENT * coarse)
@@ -95,13 +98,17 @@ class Batches:
         """What accuracy a sample's sampling has reached, and why it ended, as a sentence; empty for other scans."""
         if self.scan.kind != "sample":
             return ""
-        return in_words(reached(self.spec, self._measured(self.scan, self.store.points(self.scan.id))))
+        return in_words(reached(self.spec, *self._known(self.scan, self.store.points(self.scan.id))))
 
-    def _measured(self, scan: Scan, points: list[Point]) -> list[Measured]:
-        """What the plan may know of `points`: bands of those that are done, and the place of failed ones."""
+    def _known(self, scan: Scan, points: list[Point]) -> tuple[list[Measured], list[Swept]]:
+        """What the plan may know of `points`: bands of those that are done, the place of failed ones, and the sweeps.
+
+        A sweep belongs to the points of its incident angle: what is planned before any of these is finished must not
+        depend on whether the sweep is.
+        """
         nothing = np.full(1, np.nan)
         if not any(p.status == "done" for p in points):
-            return [Measured(p.geometry, nothing, nothing, p.seconds) for p in points if p.status in _FINISHED]
+            return [Measured(p.geometry, nothing, nothing, p.seconds) for p in points if p.status in _FINISHED], []
         assert self.response is not None  # there are samples
         raw = read_raw(self.store, scan.id)
         values, noise = band_values(raw, self.response)
@@ -111,7 +118,8 @@ class Batches:
             if point.status in _FINISHED:
                 value, noise = known[point.geometry] if point.status == "done" else (nothing, nothing)
                 seen.append(Measured(point.geometry, value, noise, point.seconds))
-        return seen
+        visited = {p.geometry.theta_in for p in seen}
+        return seen, [s for s in swept(raw, self.response, self.spec) if s.theta_in in visited]
 
 
 def batches(store: Store, scan: Scan, campaign: Campaign, spec: PlanSpec) -> Batches:
