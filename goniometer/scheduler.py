@@ -20,8 +20,8 @@ tried again. The scan fails when the bench cannot be recovered, or when points f
 
 Everything that decides what happens next is read from the database. A batch of the plan is written before its
 first point is measured and a point together with its exposures, so a resumed scan measures the same
-directions with the same integration times as one that was never interrupted. Darks, stray light, pre-scans and looks at
-the lamp come as `goniometer.auxiliary` says, before the point that needs them.
+directions with the same integration times as one that was never interrupted. Darks, stray light, pre-scans and looks
+at the lamp come as `goniometer.auxiliary` says, before the point that needs them.
 """
 
 import asyncio

@@ -175,7 +175,9 @@ _ALIASES = {"mirror": "sample-6"}
 
 
 def material(name: str) -> Mountable:
-    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, "spectralon", "embossed", "mercury-argon" or "nothing".
+    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, or the name of one of the others.
+
+    These are "spectralon", "embossed", "mercury-argon" and "nothing".
 
     Raises `UnknownMaterial`, which lists what there is.
     """
