@@ -4,6 +4,7 @@ Before the first point of an incident angle the arm sweeps over all its directio
 counts to cos(theta_in) f as points do, each at the middle of its interval.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -49,7 +50,7 @@ def check_prescan(prescan: Prescan, limits: tuple[float, float], motion: Motion)
         raise CampaignError(
             f"A pre-scan of {prescan.step:g} deg in {prescan.integration:g} s is not possible: the arm moves at "
             f"{motion.detector.velocity:g} deg/s; make prescan.integration "
-            f"{prescan.step / motion.detector.velocity:g} s or more"
+            f"{math.ceil(1e3 * prescan.step / motion.detector.velocity) / 1e3:g} s or more"
         )
 
 
