@@ -4,7 +4,7 @@ The next batch of a sample is planned while its last point is still being measur
 from the knowledge that it is on its way. A resumed scan asks the same and gets the same.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from goniometer.plan import (
     spot_points,
 )
 from goniometer.prescan import swept
-from goniometer.raw import read_raw
+from goniometer.raw import Dark, RawScan, Shot, read_raw
 from goniometer.records import Point, Scan
 from goniometer.response import Response, response
 from goniometer.store import Store
@@ -53,6 +53,8 @@ class Batches:
     spec: PlanSpec
     response: Response | None
     """Of the instrument; None for the reference scan, which finds it."""
+    kept: dict[tuple[int, ...], list[Swept]] = field(default_factory=dict, compare=False)
+    """What sweeps tell, by the ids of all exposures that say so: these never change, and it takes a while to find."""
 
     def look(self, points: list[Point]) -> tuple[list[Geometry], int]:
         """What `next` gives, and how many points the scan will have, as far as that is known."""
@@ -119,7 +121,15 @@ class Batches:
                 value, noise = known[point.geometry] if point.status == "done" else (nothing, nothing)
                 seen.append(Measured(point.geometry, value, noise, point.seconds))
         visited = {p.geometry.theta_in for p in seen}
-        return seen, [s for s in swept(raw, self.response, self.spec) if s.theta_in in visited]
+        return seen, [s for s in self._swept(raw, self.response) if s.theta_in in visited]
+
+    def _swept(self, raw: RawScan, known: Response) -> list[Swept]:
+        shots: list[Shot | Dark] = [*(s.shot for s in raw.sweeps), *raw.darks, *raw.stray]
+        key = tuple(i for shot in shots for i in shot.ids)
+        if key not in self.kept:
+            self.kept.clear()
+            self.kept[key] = swept(raw, known, self.spec)
+        return self.kept[key]
 
 
 def batches(store: Store, scan: Scan, campaign: Campaign, spec: PlanSpec) -> Batches:

@@ -197,9 +197,10 @@ class OpticalBench:
         while True:
             edges = self._geometries(np.linspace(began, ended, count + 1))
             angles = np.array([(g.sample_angle, g.detector_angle) for g in edges])
-            if np.abs(np.diff(angles, axis=0)).max() <= FINE:
+            widest = float(np.abs(np.diff(angles, axis=0)).max())
+            if widest <= FINE + 1 / _ANGLE_STEPS:  # what rounding adds
                 break
-            count *= 2
+            count = math.ceil(count * widest / FINE)
         middles = self._geometries(began + (np.arange(count) + 0.5) / count * (ended - began))
         received = self.imperfections.stray_light + self._cosine_brdf(middles).mean(axis=0)
         return np.asarray(self._throughput * received * self._lamp(ended) + self._lines)
