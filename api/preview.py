@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from analysis.budget_figure import side_by_side
 from analysis.plan_figure import arm_view, polar_view
 from api.display import duration
-from goniometer.campaign import Campaign, Integration
+from goniometer.campaign import Campaign, Integration, Prescan
 from goniometer.conditions import Conditions
 from goniometer.duration import EARLIER, Expected, expected
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
+from goniometer.prescan import cost
 from goniometer.route import Motion, travel
 
 
@@ -27,7 +28,7 @@ class Leg:
     sample_travel: float
     """Degrees that the sample stage turns between those that are certain."""
     detector_travel: float
-    """Degrees that the detector stage turns between them."""
+    """Degrees that the detector stage turns between them, a pre-scan included."""
     time: Expected
     """Until the scan is complete, seconds, with what it waits for."""
     waiting: float
@@ -51,7 +52,8 @@ class Preview:
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
     besides: tuple[str, ...]
-    """What is measured besides, the time of which is not in that of the legs, and what must hold; as sentences."""
+    """What is measured besides, the time of which is not in that of the legs but for the pre-scan, and what must hold;
+    as sentences."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
@@ -93,7 +95,7 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     legs = [
         _leg(name.replace("reference", "reference panel", 1), panel, len(panel), spec, policy, campaign.reference.scans)
         if sample is None
-        else _delayed(_leg(name, first, most, spec, policy, policy.scans), sample.wait)
+        else _delayed(_leg(name, first, most, spec, policy, policy.scans, campaign.prescan), sample.wait)
         for name, sample in campaign.series
     ]
     conditions = campaign.conditions
@@ -112,15 +114,28 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
     )
 
 
-def _leg(name: str, path: list[Geometry], most: int, spec: PlanSpec, integration: Integration, scans: int) -> Leg:
-    """A scan of `path` and perhaps more points, which then take as long as those of `path` do."""
+def _leg(
+    name: str,
+    path: list[Geometry],
+    most: int,
+    spec: PlanSpec,
+    integration: Integration,
+    scans: int,
+    prescan: Prescan | None = None,
+) -> Leg:
+    """A scan of `path` and perhaps more points, which then take as long as those of `path` do; with its pre-scan."""
     way = travel(path, spec.motion)
     alone = expected(path, spec.motion, integration, scans)
     longest = most / len(path)
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
+    sample, detector = way.sample, way.detector
+    if prescan is not None:
+        swept = cost(path, spec, prescan, spec.motion)
+        time += Expected(swept.seconds, swept.seconds, swept.seconds)
+        sample, detector = sample + swept.sample, detector + swept.detector
     if spec.most_seconds is not None:
         time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
-    return Leg(name, len(path), most, way.sample, way.detector, time, 0.0)
+    return Leg(name, len(path), most, sample, detector, time, 0.0)
 
 
 def _delayed(leg: Leg, seconds: float) -> Leg:
@@ -130,6 +145,11 @@ def _delayed(leg: Leg, seconds: float) -> Leg:
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:
     told = []
+    if campaign.prescan is not None:
+        told.append(
+            f"Before the first point of an incident angle the arm sweeps over all its directions at "
+            f"{campaign.prescan.velocity:.3g}°/s, with a reading every {campaign.prescan.step:g}°."
+        )
     if campaign.stray_light:
         told.append("Stray light is measured once per incident angle of each scan.")
     if campaign.monitor is not None:

@@ -65,8 +65,21 @@ class RotationStage(Protocol):
         Raises `DeviceRefused` outside `limits` before anything moves.
         """
 
+    async def begin_move(self, angle: float) -> float:
+        """Begin to move to `angle` degrees, and return how long that should take, seconds, without waiting.
+
+        Meanwhile `state` and `position` tell where the stage is; `arrive` must follow. Raises `DeviceRefused` outside
+        `limits` before anything moves.
+        """
+
+    async def arrive(self, angle: float, expected: float = 0.0) -> float:
+        """Wait until the stage rests at `angle` degrees, and return the angle it reads back.
+
+        `expected` is how long the motion should still take, seconds.
+        """
+
     async def position(self) -> float:
-        """Angle now, degrees."""
+        """Angle now, degrees, also while the stage moves."""
 
     async def set_velocity(self, velocity: float) -> None:
         """Cruise at `velocity` degrees/s from the next motion on."""
@@ -91,6 +104,20 @@ class Spectrum:
     """The device's own running number of spectra."""
     detector_temperature: float
     """Degrees Celsius."""
+    began: float | None = None
+    """When the integration began, seconds on the clock of the bench, as far as the device tells; None where it does
+    not. It is late by the time that the device's acknowledgement took."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Spectra that are being taken."""
+
+    integration_time: float
+    """Of each, seconds."""
+    scans: int
+    moment: float
+    """When the device acknowledged that it begins, seconds on the clock of the bench."""
 
 
 class Spectrometer(Protocol):
@@ -139,6 +166,15 @@ class Spectrometer(Protocol):
 
     async def sequence(self, integration_time: float, scans: int) -> list[Spectrum]:
         """`scans` spectra of `integration_time` seconds each, back to back; each is what `expose` promises."""
+
+    async def begin_sequence(self, integration_time: float, scans: int) -> Begun:
+        """Begin to take `scans` spectra of `integration_time` seconds each, without waiting for them."""
+
+    async def collect_sequence(self, begun: Begun) -> list[Spectrum]:
+        """Wait for the spectra that were begun, and return them with the moments at which they began.
+
+        What is not as `sequence` promises is an error at once: what was to be seen meanwhile does not come back.
+        """
 
 
 class Light(Protocol):

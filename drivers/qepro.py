@@ -19,7 +19,7 @@ from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.device_thread import DeviceThread
 from drivers.errors import DeviceDisconnected, DeviceFault, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
-from drivers.interfaces import Spectrum
+from drivers.interfaces import Begun, Spectrum
 from drivers.qepro_wire import (
     BUFFERED,
     COOLER_ENABLED,
@@ -50,6 +50,8 @@ TICK_SLACK = 0.99
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
+Taken = tuple[float | None, list[Reading]]
+"""When the first of some readings began, seconds on the clock, None where that is not known; and the readings."""
 
 
 class QEPro:
@@ -160,11 +162,12 @@ class QEPro:
         since it was opened. When cancelled it ends at once and aborts the integration.
         """
 
-        async def take() -> list[Reading]:
+        async def take() -> Taken:
             request = await self._run(QEProWire.begin, microseconds)
+            began = self._clock.now()
             # a long wait is spent on the clock, where it can be cancelled, and not in the device's thread
             await self._clock.sleep(integration_time)
-            return [await self._run(QEProWire.finish, request)]
+            return began, [await self._run(QEProWire.finish, request)]
 
         microseconds = self._microseconds(integration_time)
         return (await self._acquire(take, microseconds, TriggerMode.NORMAL, ATTEMPTS))[0]
@@ -175,20 +178,41 @@ class QEPro:
         Their counts are consecutive and their ticks at least one integration time apart; otherwise all are taken
         again. Raises as `expose` does, and `DeviceRefused` when the buffer has no room for so many.
         """
-        largest = self._opened().largest_buffer
+
+        async def take() -> Taken:
+            return await self._collect(await self.begin_sequence(integration_time, scans))
+
+        return await self._acquire(take, self._microseconds(integration_time), TriggerMode.NORMAL, ATTEMPTS)
+
+    async def begin_sequence(self, integration_time: float, scans: int) -> Begun:
+        """Begin to take `scans` spectra of `integration_time` seconds each, back to back, into the device's own buffer.
+
+        Raises `DeviceRefused` outside the limits or when the buffer has no room for so many, and `DeviceFault` when
+        the device was restarted since it was opened.
+        """
+        microseconds, largest = self._microseconds(integration_time), self._opened().largest_buffer
         if not 1 <= scans <= largest:
             raise DeviceRefused(f"{self.name}: cannot take {scans} spectra in a row; ask for 1 to {largest}")
+        self._check_trust()
+        await self._run(QEProWire.fill, microseconds, TriggerMode.NORMAL, scans)
+        return Begun(integration_time, scans, self._clock.now())
 
-        async def take() -> list[Reading]:
-            await self._run(QEProWire.fill, microseconds, TriggerMode.NORMAL, scans)
-            for number in range(1, scans + 1):
-                await self._clock.sleep(integration_time)
-                late = f"{self.name}: spectrum {number} of {scans} of {integration_time:g} s is not there in time"
-                await self._buffered(number, self._timeout, late + "; switch the device off and on")
-            return await self._run(QEProWire.read_buffer, scans)
+    async def collect_sequence(self, begun: Begun) -> list[Spectrum]:
+        """Wait for the spectra that `begin_sequence` began.
 
-        microseconds = self._microseconds(integration_time)
-        return await self._acquire(take, microseconds, TriggerMode.NORMAL, ATTEMPTS)
+        The first one began when the device acknowledged, the others when its ticks say. Raises as `sequence` does, but
+        a spectrum that is not the one asked for is an error at once.
+        """
+        microseconds = self._microseconds(begun.integration_time)
+        return await self._acquire(lambda: self._collect(begun), microseconds, TriggerMode.NORMAL, 1)
+
+    async def _collect(self, begun: Begun) -> Taken:
+        time, scans = begun.integration_time, begun.scans
+        for number in range(1, scans + 1):
+            await self._clock.sleep(max(begun.moment + number * time - self._clock.now(), 0.0))
+            late = f"{self.name}: spectrum {number} of {scans} of {time:g} s is not there in time"
+            await self._buffered(number, self._timeout, late + "; switch the device off and on")
+        return begun.moment, await self._run(QEProWire.read_buffer, scans)
 
     async def expose_on_trigger(self, mode: TriggerMode, integration_time: float, within: float) -> Spectrum:
         """Integrate once, when an external pulse says so, within so many seconds.
@@ -197,11 +221,11 @@ class QEPro:
         an error at once, because the pulse does not come back.
         """
 
-        async def take() -> list[Reading]:
+        async def take() -> Taken:
             await self._run(QEProWire.fill, microseconds, mode, 1)
             late = f"{self.name}: no spectrum came within {within:g} s of waiting for a trigger; check its cable"
             await self._buffered(1, within + integration_time + self._timeout, late)
-            return await self._run(QEProWire.read_buffer, 1)
+            return None, await self._run(QEProWire.read_buffer, 1)
 
         microseconds = self._microseconds(integration_time)
         return (await self._acquire(take, microseconds, mode, 1))[0]
@@ -237,15 +261,15 @@ class QEPro:
         return round(integration_time * 1e6)
 
     async def _acquire(
-        self, take: Callable[[], Awaitable[list[Reading]]], microseconds: int, mode: TriggerMode, attempts: int
+        self, take: Callable[[], Awaitable[Taken]], microseconds: int, mode: TriggerMode, attempts: int
     ) -> list[Spectrum]:
         """What `take` brings, once it is what was asked for."""
-        if self._distrust:
-            raise DeviceFault(self._distrust)
+        self._check_trust()
+        began: float | None = None
         readings: list[Reading] = []
         for attempt in range(1, attempts + 1):
             try:
-                readings = await take()
+                began, readings = await take()
                 wrong = self._what_is_wrong(readings, microseconds, mode)
             except ProtocolError as error:
                 wrong = str(error)
@@ -256,7 +280,10 @@ class QEPro:
             if not wrong:
                 temperature = await self.temperature()
                 self._check_temperature(temperature)
-                return [Spectrum(r.counts, r.microseconds / 1e6, r.count, temperature) for r in readings]
+                return [
+                    Spectrum(r.counts, r.microseconds / 1e6, r.count, temperature, _began(began, readings[0], r))
+                    for r in readings
+                ]
             await self._run(QEProWire.forget_settings)
             log.warning("%s: %s (attempt %d of %d)", self.name, wrong, attempt, attempts)
         if any(_is_older(reading, self._newest) for reading in readings):
@@ -284,6 +311,10 @@ class QEPro:
                 return f"two spectra are only {reading.tick - before.tick} ticks apart"
             before = reading
         return ""
+
+    def _check_trust(self) -> None:
+        if self._distrust:
+            raise DeviceFault(self._distrust)
 
     def _is_cold(self, temperature: float) -> bool:
         return abs(temperature - self._cooler_set_point) <= self._temperature_tolerance
@@ -334,6 +365,11 @@ def _is_older(reading: Reading, newest: Reading | None) -> bool:
     if newest is None or (reading.count, reading.tick) == (newest.count, newest.tick):
         return False
     return reading.count <= newest.count or reading.tick <= newest.tick
+
+
+def _began(first: float | None, earliest: Reading, reading: Reading) -> float | None:
+    """When the integration of a reading began, as its ticks say, where the first of its row began at `first`."""
+    return None if first is None else first + (reading.tick - earliest.tick) * 1e-6
 
 
 class QEProLight:

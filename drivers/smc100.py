@@ -101,6 +101,8 @@ class SMC100(Stage):
         super().__init__(name, clock, limits=limits, mounting=mounting)
         self._url = url
         self._address = address
+        self._told = False
+        """Whether a velocity was set, so that the one which the controller has stored does not count."""
         self._port = SerialPort(
             name,
             url,
@@ -145,7 +147,10 @@ class SMC100(Stage):
         """
         await super().home()
         # a reset, or whoever switched the controller off before, has brought back the velocity that it has stored
-        await self.set_velocity(self.velocity)
+        if self._told:
+            await self.set_velocity(self.velocity)
+        else:  # what it had when it was opened may be what a process that died in a slow motion has left
+            self.velocity = await self._ask_setting("VA") / self._mounting.scale
 
     async def stop(self) -> None:
         """Stop moving at once; a stage that is not moving is left as it is."""
@@ -184,6 +189,7 @@ class SMC100(Stage):
         return any(code in codes and phase in {StagePhase.MOVING, StagePhase.HOMING} for codes, phase in PHASES)
 
     async def _set_velocity(self, velocity: float) -> None:
+        self._told = True
         await self._command(f"VA{velocity:.5f}")
         taken = await self._ask_setting("VA")
         if not math.isclose(taken, velocity, rel_tol=SAME_SPEED):

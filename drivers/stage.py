@@ -97,9 +97,23 @@ class Stage(ABC):
         Raises `DeviceRefused` outside `limits` before anything is sent, or with the device's own reason;
         `DeviceFault` when it stops elsewhere or forgets its reference; `DeviceTimeout` when it does not arrive.
         """
+        return await self.arrive(angle, await self.begin_move(angle))
+
+    async def begin_move(self, angle: float) -> float:
+        """Begin to move to `angle` degrees and return how long that should take, seconds; `arrive` must follow.
+
+        Raises `DeviceRefused` outside `limits` before anything is sent, or with the device's own reason.
+        """
         check_limits(self.name, angle, self.limits)
         expected = travel_time(angle - await self.position(), self.velocity, self.acceleration)
         await self._begin_move(self._mounting.reading(angle))
+        return expected
+
+    async def arrive(self, angle: float, expected: float = 0.0) -> float:
+        """Wait until the stage rests at `angle` degrees and return the angle it reads back.
+
+        `expected` is how long the motion should still take, seconds. Raises as `move_to` does.
+        """
         state = await wait_for_rest(
             self.name, self._clock, self.state, expected=expected, at_most=longest_travel(expected)
         )

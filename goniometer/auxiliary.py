@@ -1,4 +1,4 @@
-"""What a scan needs beside its points: dark signals, stray light, and a look at the lamp again and again.
+"""What a scan needs beside its points: darks, stray light, a pre-scan, and a look at the lamp again and again.
 
 Whether something is missing is read from the database and from the clock of the bench, so that a resumed scan takes
 what an uninterrupted one would have. Only the monitors are bound to time: every run of a scan begins and ends with one,
@@ -7,20 +7,24 @@ as nobody knows what the lamp did in between.
 
 import logging
 from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Campaign, Integration
+from goniometer.campaign import Campaign, Integration, Prescan
 from goniometer.errors import GeometryError
 from goniometer.exposure import DarkSignal, detector_of, ladder, step_down, take
 from goniometer.geometry import Geometry
-from goniometer.instrument import ARRIVAL, Instrument
+from goniometer.instrument import Instrument
+from goniometer.moves import ARRIVAL
 from goniometer.plan import monitor_direction, plan_spec
+from goniometer.prescan import way
 from goniometer.raw import Dark, RawScan
 from goniometer.safety import safe_path
 from goniometer.store import Store
+from goniometer.track import Passage
 
 DARKS = 4
 """Dark spectra of each integration time and temperature."""
@@ -34,6 +38,7 @@ STRAY_SCANS = 2
 """Spectra of stray light at each incident angle."""
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 
 class Darks:
@@ -81,7 +86,7 @@ def once(policy: Integration) -> Integration:
 
 
 class Auxiliary:
-    """Stray light and monitors of one run of a scan, of which `raw` holds what earlier runs have taken."""
+    """Stray light, sweeps and monitors of one run of a scan, of which `raw` holds what earlier runs have taken."""
 
     def __init__(self, store: Store, instrument: Instrument, campaign: Campaign, raw: RawScan, darks: Darks) -> None:
         self._store = store
@@ -90,7 +95,10 @@ class Auxiliary:
         self._campaign = campaign
         self._detector = detector_of(raw.constants)
         self._darks = darks
-        self._direction = monitor_direction(plan_spec(campaign))
+        self._spec = plan_spec(campaign)
+        self._direction = monitor_direction(self._spec)
+        self._prescan = campaign.prescan if store.scan(raw.scan_id).kind == "sample" else None
+        self._swept = {sweep.shot.geometry.theta_in for sweep in raw.sweeps}
         self._settled = {shot.geometry.theta_in for shot in raw.stray}
         self._monitor_time = raw.monitors[0].integration_time if raw.monitors else None
         self._looked: float | None = None  # when this run looked at the lamp, on the clock of the bench
@@ -107,6 +115,8 @@ class Auxiliary:
             await self._look_at_lamp(point)
         if self._campaign.stray_light and not any(abs(point.theta_in - t) <= ARRIVAL for t in self._settled):
             await self._take_stray(point)
+        if self._prescan is not None and not any(abs(point.theta_in - t) <= ARRIVAL for t in self._swept):
+            await self._sweep(point, self._prescan)
 
     async def closing(self) -> None:
         """Look at the lamp once more after the last point. Raises `DriverError`."""
@@ -151,10 +161,25 @@ class Auxiliary:
             self._store.add_exposures(self._scan_id, "stray", spectra, instrument.session, moment, here)
         self._settled.add(point.theta_in)
 
+    async def _sweep(self, point: Geometry, prescan: Prescan) -> None:
+        """Readings of the moving detector over all directions of the incident angle of `point`, on the way to it."""
+        instrument, theta_in, time = self._instrument, point.theta_in, prescan.integration
+        start, stop = way(self._spec, point)
+
+        async def go(_: Geometry) -> tuple[list[Passage], float]:
+            return await instrument.sweep(theta_in, start, stop, prescan.velocity, time)
+
+        seen = await self._reach("there is no pre-scan", go, Geometry(theta_in, stop), point)
+        if seen is not None:
+            passages, sample_angle = seen
+            await self._has_dark([p.spectrum for p in passages])
+            self._store.add_sweep(self._scan_id, sample_angle, passages, instrument.session)
+        self._swept.add(theta_in)
+
     async def _reach(
-        self, otherwise: str, go: Callable[[Geometry], Awaitable[Geometry]], there: Geometry, onward: Geometry
-    ) -> Geometry | None:
-        """Go `there`, if the arm can also go `onward` from there, and return the read-back; else warn."""
+        self, otherwise: str, go: Callable[[Geometry], Awaitable[T]], there: Geometry, onward: Geometry
+    ) -> T | None:
+        """Go `there`, if the arm can also go `onward` from there, and return what `go` does; else warn."""
         start, end = ((g.sample_angle, g.detector_angle) for g in (there, onward))
         try:
             safe_path(start, end, self._instrument.forbidden)

@@ -4,7 +4,7 @@ The next batch of a sample is planned while its last point is still being measur
 from the knowledge that it is on its way. A resumed scan asks the same and gets the same.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,10 +21,12 @@ from goniometer.plan import (
     reference_points,
     spot_points,
 )
-from goniometer.raw import read_raw
+from goniometer.prescan import swept
+from goniometer.raw import Dark, RawScan, Shot, read_raw
 from goniometer.records import Point, Scan
 from goniometer.response import Response, response
 from goniometer.store import Store
+from goniometer.sweep import Swept
 
 TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse pass, before anything is known about it."""
@@ -51,6 +53,8 @@ class Batches:
     spec: PlanSpec
     response: Response | None
     """Of the instrument; None for the reference scan, which finds it."""
+    kept: dict[tuple[int, ...], list[Swept]] = field(default_factory=dict, compare=False)
+    """What sweeps tell, by the ids of all exposures that say so: these never change, and it takes a while to find."""
 
     def look(self, points: list[Point]) -> tuple[list[Geometry], int]:
         """What `next` gives, and how many points the scan will have, as far as that is known."""
@@ -62,18 +66,19 @@ class Batches:
         The last point may be under way: then empty means that nothing can be said before it is finished.
         """
         if self.scan.kind == "sample":
-            seen = self._measured(self.scan, points[:-1])
-            batch = next_points(self.spec, seen, pending=[p.geometry for p in points[-1:]])
+            batch = next_points(
+                self.spec, *self._known(self.scan, points[:-1]), pending=[p.geometry for p in points[-1:]]
+            )
             if batch or not points or points[-1].status not in _FINISHED:
                 return batch
-            return next_points(self.spec, self._measured(self.scan, points))
+            return next_points(self.spec, *self._known(self.scan, points))
         if points:
             return []
         if self.scan.kind == "reference":
             return reference_points(self.spec, self.campaign.reference.step)
         assert self.campaign.homogeneity is not None  # or there were no such scan
         sample = self.store.scans(self.scan.campaign_id)[self.scan.number - 1]
-        seen = self._measured(sample, self.store.points(sample.id))
+        seen, _ = self._known(sample, self.store.points(sample.id))
         return spot_points(seen, self.campaign.homogeneity.points)
 
     def _expected(self, points: list[Point]) -> int:
@@ -85,7 +90,7 @@ class Batches:
         coarse = len(next_points(self.spec, []))
         finished = [p for p in points if p.status in _FINISHED]
         if len(finished) >= coarse:
-            return expected_total(self.spec, self._measured(self.scan, finished))
+            return expected_total(self.spec, self._known(self.scan, finished)[0])
         others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
         if not others:
             return round(TYPICAL_REFINEMENT * coarse)
@@ -95,13 +100,17 @@ class Batches:
         """What accuracy a sample's sampling has reached, and why it ended, as a sentence; empty for other scans."""
         if self.scan.kind != "sample":
             return ""
-        return in_words(reached(self.spec, self._measured(self.scan, self.store.points(self.scan.id))))
+        return in_words(reached(self.spec, *self._known(self.scan, self.store.points(self.scan.id))))
 
-    def _measured(self, scan: Scan, points: list[Point]) -> list[Measured]:
-        """What the plan may know of `points`: bands of those that are done, and the place of failed ones."""
+    def _known(self, scan: Scan, points: list[Point]) -> tuple[list[Measured], list[Swept]]:
+        """What the plan may know of `points`: bands of those that are done, the place of failed ones, and the sweeps.
+
+        A sweep belongs to the points of its incident angle: what is planned before any of these is finished must not
+        depend on whether the sweep is.
+        """
         nothing = np.full(1, np.nan)
         if not any(p.status == "done" for p in points):
-            return [Measured(p.geometry, nothing, nothing, p.seconds) for p in points if p.status in _FINISHED]
+            return [Measured(p.geometry, nothing, nothing, p.seconds) for p in points if p.status in _FINISHED], []
         assert self.response is not None  # there are samples
         raw = read_raw(self.store, scan.id)
         values, noise = band_values(raw, self.response)
@@ -111,7 +120,16 @@ class Batches:
             if point.status in _FINISHED:
                 value, noise = known[point.geometry] if point.status == "done" else (nothing, nothing)
                 seen.append(Measured(point.geometry, value, noise, point.seconds))
-        return seen
+        visited = {p.geometry.theta_in for p in seen}
+        return seen, [s for s in self._swept(raw, self.response) if s.theta_in in visited]
+
+    def _swept(self, raw: RawScan, known: Response) -> list[Swept]:
+        shots: list[Shot | Dark] = [*(s.shot for s in raw.sweeps), *raw.darks, *raw.stray]
+        key = tuple(i for shot in shots for i in shot.ids)
+        if key not in self.kept:
+            self.kept.clear()
+            self.kept[key] = swept(raw, known, self.spec)
+        return self.kept[key]
 
 
 def batches(store: Store, scan: Scan, campaign: Campaign, spec: PlanSpec) -> Batches:

@@ -183,6 +183,27 @@ class Monitor(_Model):
     every: Duration = Field(default=600.0, gt=0, description="Time from one monitor exposure to the next, seconds.")
 
 
+class Prescan(_Model):
+    """How the arm sweeps over an incident angle before its first point, while the detector integrates.
+
+    A reading is the average over the interval that the arm passed meanwhile. A lobe as narrow as the aperture is
+    diluted in it as many times as the interval is wider than the lobe, and three points must find it in there, so an
+    interval is at most 2 degrees wide.
+    """
+
+    step: Angle = Field(
+        default=2.0, ge=0.5, le=2.0, description="Width of the interval of theta_out that a reading covers, degrees."
+    )
+    integration: Duration = Field(
+        default=0.5, gt=0, description="Integration time of a reading, seconds; the arm moves at step / integration."
+    )
+
+    @property
+    def velocity(self) -> float:
+        """Of the arm, degrees/s."""
+        return self.step / self.integration
+
+
 class Homogeneity(_Model):
     """How a sample is measured again at another place, or turned by 90 degrees about its normal."""
 
@@ -231,6 +252,9 @@ class Campaign(_Model):
     )
     outgoing: OutgoingRange = Field(default=OutgoingRange(), description="Range of reflected directions.")
     resolution: Resolution = Field(default=Resolution(), description="How finely reflected directions are sampled.")
+    prescan: Prescan | None = Field(
+        default=None, description="Whether a sweep looks for lobes between the points first; null: not."
+    )
     integration: Integration = Field(default=Integration(), description="How integration times are chosen.")
     reference: Reference = Field(default=Reference(), description="How the reference panel is measured.")
     stray_light: bool = Field(
@@ -280,6 +304,14 @@ class Campaign(_Model):
                     f"incident angle {angle:g} deg: widen the range, or leave this angle out"
                 )
         return outgoing
+
+    @field_validator("prescan")
+    @classmethod
+    def _has_use(cls, prescan: Prescan | None, info: ValidationInfo) -> Prescan | None:
+        resolution = info.data.get("resolution")  # absent where it is at fault itself
+        if prescan is not None and resolution is not None and resolution.mode == "uniform":
+            raise ValueError("an even grid has no use for what it finds: leave it out, or make the resolution dynamic")
+        return prescan
 
     @property
     def theta_in(self) -> tuple[float, ...]:

@@ -5,29 +5,23 @@ believed because it came: a stage must say that it is ready before it moves and 
 spectrum must have the integration time, the pixels and the detector temperature that belong to it.
 """
 
-import asyncio
 import logging
 import math
 import uuid
-from collections.abc import Coroutine
-from typing import Any
 
 import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
-from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
+from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase
+from drivers.travel import travel_time
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
+from goniometer.moves import ARRIVAL, both, faults_of, followed, home, not_ready, ready, settle
 from goniometer.route import Motion, StageMotion
 from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, safe_path
-
-ARRIVAL = 0.1
-"""Degrees between the angle that a stage was sent to and the one that it reads back."""
-
-TWICE = 0.01
-"""Degrees by which two readings of a stage at rest may differ."""
+from goniometer.track import SWEEP_MARGIN, Passage, passages
 
 TEMPERATURE_DRIFT = 1.0
 """Degrees Celsius by which the detector may depart from its first spectrum; by more, its cooler has failed."""
@@ -93,6 +87,8 @@ class Instrument:
         # what the stages read after homing, and corners of the rectangle somewhere in which the arm is now
         self._marks: Standing = (0.0, 0.0)
         self._whereabouts = {self._marks}
+        # of the arm when it is not slowed down for a sweep; None while it has it
+        self._cruising: float | None = None
         # None until the first spectrum; they stay when devices are reopened, as the scan goes on
         self._pixels: int | None = None
         self._temperature: float | None = None
@@ -156,12 +152,12 @@ class Instrument:
         await self._set_shutter(False)
         await self._switch_lamp_on()
         if self.forbidden:
-            detector = await _home(self._detector_stage)
-            sample = await _home(self._sample_stage)
+            detector = await home(self._detector_stage)
+            sample = await home(self._sample_stage)
             unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
             check_standing((sample, detector), (unbounded, unbounded), self.forbidden)
         else:
-            sample, detector = await _both(_home(self._sample_stage), _home(self._detector_stage))
+            sample, detector = await both(home(self._sample_stage), home(self._detector_stage))
         self._marks = sample, detector
         self._whereabouts = {self._marks}
 
@@ -215,16 +211,16 @@ class Instrument:
         """What `goto` does, once it is known that the arm may stand where it is wanted."""
         targets = self._sample_target, self._detector_target
         self._forget_targets()
-        here = await _both(_ready(self._sample_stage), _ready(self._detector_stage))
+        here = await both(ready(self._sample_stage), ready(self._detector_stage))
         self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
         self._check_left(targets, here)
         for stop in safe_path(here, wanted, self.forbidden):
             # on the way only the stage moves whose turn it is; in the end each that was not sent there before
             stays = [targets[axis] == wanted[axis] if stop == wanted else stop[axis] == here[axis] for axis in range(2)]
             self._whereabouts = {here, stop}
-            reached = await _both(
-                _settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
-                _settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
+            reached = await both(
+                settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
+                settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
             )
             targets = (
                 targets[0] if stays[0] else stop[0],
@@ -252,6 +248,51 @@ class Instrument:
             raise ProtocolError(f"{self._spectrometer.name}: delivered {len(spectra)} spectra where {scans} were asked")
         return [await self._checked(spectrum, integration_time) for spectrum in spectra]
 
+    async def sweep(
+        self, theta_in: float, start: float, stop: float, velocity: float, integration_time: float
+    ) -> tuple[list[Passage], float]:
+        """Spectra of `integration_time` seconds, taken while the arm goes from theta_out `start` to `stop`, degrees.
+
+        It moves at `velocity`, degrees/s, and may cross the blocked sector. Returns the spectra that it moved during,
+        which cover the way without a gap, and the angle of the sample stage, degrees. How well their ends are known
+        depends on how quickly the stage tells where it is: on half that time. Raises `GeometryError` before anything
+        moves where the arm cannot go there or all the way; `DeviceRefused` for a velocity that the stage cannot have;
+        `ProtocolError` and `DeviceFault` where a spectrum is not the one that was asked for or part of the way was not
+        seen. The arm has its former velocity again afterwards, or, where it cannot be told so, after `recover`.
+        """
+        ends = [check(Geometry(theta_in, theta_out)) for theta_out in (start, stop)]
+        (_, begin), (_, end) = way = [(g.sample_angle, g.detector_angle) for g in ends]
+        for standing in way:
+            check_standing(standing, self.limits, self.forbidden)
+        safe_path(way[0], way[1], self.forbidden)
+        stage, spectrometer = self._detector_stage, self._spectrometer
+        sample = (await self._go(way[0])).sample_angle
+        await self._set_shutter(True)
+        self._forget_targets()
+        self._whereabouts = {(sample, begin), (sample, end)}
+        seconds = travel_time(end - begin, velocity, stage.acceleration)
+        self._cruising = stage.velocity
+        faults: list[DriverError] = []
+        try:
+            await stage.set_velocity(velocity)
+            track = [(self.clock.now(), await stage.position())]
+            scans = math.ceil((seconds + SWEEP_MARGIN) / integration_time)
+            begun = await spectrometer.begin_sequence(integration_time, scans)
+            await stage.begin_move(end)
+            track += await followed(stage, self.clock, end, seconds, look=integration_time / 2)
+            spectra = await spectrometer.collect_sequence(begun)
+        finally:
+            faults = await faults_of(self._cruise())
+        if faults:
+            raise faults[0]
+        self._whereabouts = {(sample, track[-1][1])}
+        self._sample_target, self._detector_target = way[1]
+        if len(spectra) != scans:
+            raise ProtocolError(f"{spectrometer.name}: delivered {len(spectra)} spectra where {scans} were asked")
+        checked = [await self._checked(spectrum, integration_time) for spectrum in spectra]
+        step = velocity * integration_time
+        return passages(stage.name, checked, track, step), sample
+
     async def dark(self, integration_time: float) -> Spectrum:
         """One spectrum with the shutter closed; `integration_time` in seconds.
 
@@ -276,8 +317,8 @@ class Instrument:
         self._forget()
         stages = self._sample_stage, self._detector_stage
         # tasks begin in this order, and a stop is on the wire before it first waits
-        faults = await _faults(*(stage.stop() for stage in stages), self._set_shutter(False))
-        faults += await _faults(*(self._rest(stage) for stage in stages))
+        faults = await faults_of(*(stage.stop() for stage in stages), self._set_shutter(False))
+        faults += await faults_of(*(self._rest(stage) for stage in stages))
         if faults:
             raise faults[0]
 
@@ -300,7 +341,7 @@ class Instrument:
     async def close(self) -> None:
         """Disconnect from all devices; harmless when not connected. Every device is tried."""
         self._forget()
-        faults = await _faults(self._sample_stage.close(), self._detector_stage.close(), self._spectrometer.close())
+        faults = await faults_of(self._sample_stage.close(), self._detector_stage.close(), self._spectrometer.close())
         if faults:
             raise faults[0]
 
@@ -356,6 +397,12 @@ class Instrument:
         self._last_count = spectrum.count
         return spectrum
 
+    async def _cruise(self) -> None:
+        """Give the arm the velocity back that it had before a sweep."""
+        if self._cruising is not None:
+            await self._detector_stage.set_velocity(self._cruising)
+            self._cruising = None
+
     async def _rest(self, stage: RotationStage) -> None:
         """Return when `stage` rests. One that still moves is told to stop again.
 
@@ -388,7 +435,7 @@ class Instrument:
                 await self._rest(stage)
                 state = await stage.state()
             if state.phase is not StagePhase.READY:
-                log.warning("%s (homing it)", _not_ready(stage, state))
+                log.warning("%s (homing it)", not_ready(stage, state))
             if state.phase is not StagePhase.READY or stage.name in self._astray:
                 mark = self._marks[axis]
                 homed = {(s, mark) if axis else (mark, d) for s, d in self._whereabouts}
@@ -397,59 +444,4 @@ class Instrument:
                 await stage.home()
                 self._whereabouts = homed
                 self._astray.discard(stage.name)
-
-
-def _not_ready(stage: RotationStage, state: StageState) -> str:
-    """What is wrong with a stage that is not ready, as a sentence."""
-    why = f" ({state.message})" if state.message else ""
-    return f"{stage.name}: is {state.phase.value}{why}, not ready; was it switched off? Home it"
-
-
-async def _home(stage: RotationStage) -> float:
-    """Find the reference mark of one stage; returns the angle read back."""
-    await stage.home()
-    return await stage.position()
-
-
-async def _ready(stage: RotationStage) -> float:
-    """Where a stage rests, ready to move; raises `DeviceFault` where it is not."""
-    state = await stage.state()
-    if state.phase is not StagePhase.READY:
-        raise DeviceFault(_not_ready(stage, state))
-    return state.position
-
-
-async def _settle(stage: RotationStage, here: float, wanted: float, *, stays: bool) -> float:
-    """Bring one stage from `here` to `wanted`, unless it stays; returns the angle read back."""
-    reached = await stage.position() if stays else await stage.move_to(wanted)
-    if stays and abs(reached - here) > TWICE:
-        raise ProtocolError(
-            f"{stage.name}: reads {here:.3f}° and then {reached:.3f}° at rest; check the cable and the brake"
-        )
-    if not abs(reached - wanted) <= ARRIVAL:  # also where it is no number
-        raise DeviceFault(
-            f"{stage.name}: reads {reached:.3f}° where it was sent to {wanted:.3f}°; look for an obstacle"
-        )
-    return reached
-
-
-async def _both(first: Coroutine[Any, Any, float], second: Coroutine[Any, Any, float]) -> tuple[float, float]:
-    """Two moves at once; when one fails the other is still awaited, so that no stage is left unwatched."""
-    results = await asyncio.gather(first, second, return_exceptions=True)
-    if isinstance(results[0], BaseException):
-        raise results[0]
-    if isinstance(results[1], BaseException):
-        raise results[1]
-    return results[0], results[1]
-
-
-async def _faults(*actions: Coroutine[Any, Any, None]) -> list[DriverError]:
-    """Begin all actions in this order, wait for all, and return what went wrong; what is no fault is raised."""
-    faults: list[DriverError] = []
-    for result in await asyncio.gather(*actions, return_exceptions=True):
-        if isinstance(result, DriverError):
-            log.warning("%s", result)
-            faults.append(result)
-        elif result is not None:
-            raise result
-    return faults
+        await self._cruise()

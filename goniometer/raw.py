@@ -39,6 +39,16 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class Sweep:
+    """One reading of the detector while its arm moved at one incident angle."""
+
+    shot: Shot
+    """Of one spectrum; its geometry is that in which it began."""
+    theta_out_end: float
+    """Where it ended, degrees."""
+
+
+@dataclass(frozen=True)
 class Dark:
     """Dark spectra of one integration time, taken in a row."""
 
@@ -74,6 +84,8 @@ class RawScan:
     """With the detector in front of the source, where it sees stray light only."""
     monitors: tuple[Shot, ...] = ()
     """In one direction that is visited again and again, to see the lamp drift; in the order of time."""
+    sweeps: tuple[Sweep, ...] = ()
+    """Readings of the moving detector, which look for lobes between the points; in the order of time."""
 
 
 def sample_visits(raw: RawScan) -> Groups:
@@ -104,7 +116,8 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
     begun = datetime.date.fromisoformat((scan.started or exposures[0].taken)[:10])
     campaign = store.campaign(scan.campaign_id)
     diameters = {sample.name: sample.diameter for sample in campaign.samples}
-    of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in ("light", "dark", "stray", "monitor")}
+    kinds = "light", "dark", "stray", "monitor", "sweep"
+    of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in kinds}
     # while a scan goes on, another point may have been finished since the points were read
     light = [e for e in of_kind["light"] if e.point_id in number]
     return RawScan(
@@ -119,6 +132,7 @@ def read_raw(store: Store, scan_id: int) -> RawScan:
         darks=tuple(_darks(of_kind["dark"])),
         stray=tuple(_shots(of_kind["stray"], number)),
         monitors=tuple(_shots(of_kind["monitor"], number)),
+        sweeps=tuple(_sweeps(of_kind["sweep"])),
     )
 
 
@@ -138,6 +152,13 @@ def _shots(exposures: list[Exposure], number: dict[int, int]) -> Iterable[Shot]:
             tuple(e.id for e in members),
             None if point_id is None else number[point_id],
         )
+
+
+def _sweeps(exposures: list[Exposure]) -> Iterable[Sweep]:
+    for exposure in exposures:
+        (shot,) = _shots([exposure], {})
+        assert exposure.theta_out_end is not None  # the tables see to it
+        yield Sweep(shot, exposure.theta_out_end)
 
 
 def _darks(exposures: list[Exposure]) -> Iterable[Dark]:

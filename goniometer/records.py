@@ -22,7 +22,8 @@ from goniometer.uncertainty import ErrorSource
 
 Kind = Literal["reference", "sample", "spot"]
 """A spot is another place, or another azimuth, of the sample before it, measured at a few of its directions."""
-ExposureKind = Literal["light", "dark", "stray", "monitor"]
+ExposureKind = Literal["light", "dark", "stray", "monitor", "sweep"]
+"""A sweep is a reading of the detector while its arm moves."""
 Phase = Literal["idle", "running", "pausing", "paused", "aborting", "finished"]
 Outcome = Literal["completed", "aborted", "failed"]
 Command = Literal["pause", "resume", "abort"]
@@ -89,7 +90,9 @@ class Exposure:
     point_id: int | None
     """The point it belongs to; None for all but light."""
     geometry: Geometry | None
-    """Where the stages stood, as read back; None for a dark."""
+    """Where the stages stood, as read back, or were when a sweep's reading began; None for a dark."""
+    theta_out_end: float | None
+    """Where the arm was when a sweep's reading ended, degrees; None for all others."""
     session: str
     """Of the bench that took it; moments of two sessions cannot be compared."""
     moment: float
@@ -164,6 +167,7 @@ def to_exposure(row: Row[Any]) -> Exposure:
         row.kind,
         row.point_id,
         None if row.theta_in is None else Geometry(row.theta_in, row.theta_out),
+        row.theta_out_end,
         row.session,
         row.moment,
         row.taken,
@@ -181,6 +185,7 @@ def exposure_row(
     session: str,
     moment: float,
     spectrum: Spectrum,
+    theta_out_end: float | None = None,
 ) -> dict[str, object]:
     """Values of a new row of `tables.exposures`; counts are kept as little-endian u32."""
     return {
@@ -189,6 +194,7 @@ def exposure_row(
         "kind": kind,
         "theta_in": None if geometry is None else geometry.theta_in,
         "theta_out": None if geometry is None else geometry.theta_out,
+        "theta_out_end": theta_out_end,
         "session": session,
         "moment": moment,
         "integration_time": spectrum.integration_time,

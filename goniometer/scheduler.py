@@ -24,8 +24,8 @@ again.
 
 Everything that decides what happens next is read from the database. A batch of the plan is written before its
 first point is measured and a point together with its exposures, so a resumed scan measures the same
-directions with the same integration times as one that was never interrupted. Darks, stray light and looks at the lamp
-come as `goniometer.auxiliary` says, before the point that needs them.
+directions with the same integration times as one that was never interrupted. Darks, stray light, pre-scans and looks
+at the lamp come as `goniometer.auxiliary` says, before the point that needs them.
 """
 
 import asyncio
@@ -45,6 +45,7 @@ from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset
 from goniometer.plan import plan_spec
+from goniometer.prescan import check_prescan
 from goniometer.progress import Progress, Waiting
 from goniometer.raw import RawScan, read_raw
 from goniometer.records import Outcome, Phase, Point, Scan
@@ -97,6 +98,8 @@ async def run_campaign(
     """
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
+    if campaign.prescan is not None:
+        check_prescan(campaign.prescan, instrument.integration_limits, instrument.motion)
     check_plan(plan_spec(campaign), instrument.limits, instrument.forbidden)
     campaign_id = store.add_campaign(campaign, certificate)
     before_spot = campaign.homogeneity is not None

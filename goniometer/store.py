@@ -20,7 +20,7 @@ from goniometer.constants import Constants
 from goniometer.database import insert_row
 from goniometer.derived import Derived
 from goniometer.errors import CampaignError, NotInStore, StoreError
-from goniometer.geometry import Geometry
+from goniometer.geometry import Geometry, from_stages
 from goniometer.records import (
     Command,
     Exposure,
@@ -37,6 +37,7 @@ from goniometer.records import (
     to_point,
     to_scan,
 )
+from goniometer.track import Passage
 
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 
@@ -355,6 +356,29 @@ class Store(Derived):
             connection.execute(
                 insert(tables.exposures),
                 [exposure_row(scan_id, None, kind, geometry, session, moment, s) for s in spectra],
+            )
+
+    def add_sweep(self, scan_id: int, sample_angle: float, passages: Sequence[Passage], session: str) -> None:
+        """Write all readings of one sweep of the arm, with the sample stage at `sample_angle`, degrees.
+
+        Each has the moment of its own middle, on the clock of the `session` of the bench.
+        """
+        with self._writing() as connection:
+            connection.execute(
+                insert(tables.exposures),
+                [
+                    exposure_row(
+                        scan_id,
+                        None,
+                        "sweep",
+                        from_stages(sample_angle, p.start),
+                        session,
+                        p.moment,
+                        p.spectrum,
+                        from_stages(sample_angle, p.stop).theta_out,
+                    )
+                    for p in passages
+                ],
             )
 
     def exposures(self, scan_id: int) -> list[Exposure]:

@@ -47,6 +47,8 @@ class Swept:
     """[bands] cos(theta_in) f averaged over the interval, 1/sr."""
     noise: FloatArray
     """[bands] standard uncertainty of `values`."""
+    saturated: bool = False
+    """Whether `values` are lower bounds, because the detector had no room for more."""
 
 
 def swept_intervals(
@@ -97,7 +99,9 @@ def unexplained(process: Interpolant, swept: Sequence[Swept], visited: Sequence[
     alike = np.where(np.array(inside) >= _EXAMINED, _ROUGHLY, _ALIKE)[:, None]
     allowed = np.sqrt(noise**2 + doubt**2 + (alike / _SIGNIFICANT * np.maximum(read, predicted)) ** 2)
     # The bands see the same lobe: their mean is judged, with the noise that the mean has at the most.
-    score = np.abs(np.mean(read - predicted, axis=1)) / np.mean(allowed, axis=1)
+    differs = np.mean(read - predicted, axis=1)
+    differs[[s.saturated for s in swept]] = np.maximum(differs[[s.saturated for s in swept]], 0.0)
+    score = np.abs(differs) / np.mean(allowed, axis=1)
     return [swept[i] for i in np.argsort(-score) if score[i] > _SIGNIFICANT]
 
 

@@ -1,9 +1,9 @@
 """The tables of the database, and how to tell that a database is one of ours.
 
-campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors),
-scans 1-n datasets 1-n fits and exports; characterisations of the bench stand alone. Exposures and everything derived
-are only ever added: in SQLite, triggers refuse to change or delete them. Times are ISO 8601 texts in UTC; a moment is
-seconds on the clock of the session of the bench that measured, and moments of two sessions cannot be compared.
+campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
+sweeps), scans 1-n datasets 1-n fits and exports; characterisations of the bench stand alone. Exposures and everything
+derived are only ever added: in SQLite, triggers refuse to change or delete them. Times are ISO 8601 texts in UTC; a
+moment is seconds on the clock of the session of the bench that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
@@ -30,7 +30,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 metadata = MetaData()
 
@@ -108,12 +108,14 @@ exposures = Table(
     Column("detector_temperature", Float, nullable=False),
     Column("theta_in", Float),
     Column("theta_out", Float),
+    Column("theta_out_end", Float),
     Column("session", String, nullable=False),
     Column("moment", Float, nullable=False),
     Column("taken", String, nullable=False),
-    CheckConstraint("kind IN ('light', 'dark', 'stray', 'monitor')"),
+    CheckConstraint("kind IN ('light', 'dark', 'stray', 'monitor', 'sweep')"),
     CheckConstraint("(kind = 'light') = (point_id IS NOT NULL)"),
     CheckConstraint("(kind = 'dark') = (theta_in IS NULL) AND (theta_in IS NULL) = (theta_out IS NULL)"),
+    CheckConstraint("(kind = 'sweep') = (theta_out_end IS NOT NULL)"),
     Index("exposures_of_scan", "scan_id"),
 )
 

@@ -7,6 +7,7 @@ A read-out follows the light:
     x share of the footprint that lies on the sample    what the detector sees beyond the sample is black
     + stray light                                       all that is left where the detector blocks the source
     + the lines of a calibration lamp                   where one is mounted in place of a sample
+    averaged over the integration                       where a stage moves meanwhile
     -> electrons, Poisson                               shot noise
     + dark electrons, Poisson                           dark current at the sensor's temperature
     -> non-linearity, offset, read noise, whole counts, saturation
@@ -16,14 +17,14 @@ the bench does wrong, such as zeros of stages or a shifted wavelength scale, are
 polarisation, and the spectrometer's resolution for anything but the lines of a lamp.
 
 Nothing is drawn from a running stream of random numbers. The noise of a read-out is a function of the seed, the
-sample and the spot on it, the repeat of its measurement, where the stages truly stand, the integration time, shutter
-and lamp, and how many such read-outs went before since the sample was mounted: a measurement that is killed and resumed
-reads the same counts as one that was not.
+sample and the spot on it, the repeat of its measurement, where the stages truly stand (as it begins and as it ends,
+where they move), the integration time, shutter and lamp, and how many such read-outs went before since the sample was
+mounted: a measurement that is killed and resumed reads the same counts as one that was not.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -76,6 +77,9 @@ A little less than what `goniometer.geometry` leaves out, as that includes the e
 LAMP_TEMPERATURE = 2900.0
 """Colour temperature of the halogen lamp, kelvin."""
 
+FINE = 0.1
+"""Degrees of a motion over which the light is taken as constant: small against the aperture."""
+
 _ANGLE_STEPS = 10_000
 """Steps per degree to which an angle counts as the same, so that rounding cannot change the noise."""
 
@@ -83,8 +87,8 @@ _ANGLE_STEPS = 10_000
 class Standing(Protocol):
     """An axis, as far as light is concerned."""
 
-    def true_position(self) -> float:
-        """Where the axis really stands now, degrees."""
+    def true_positions(self, moments: FloatArray) -> FloatArray:
+        """[moments] where the axis really stood or stands, degrees; `moments` in seconds, none later than now."""
 
 
 class OpticalBench:
@@ -147,40 +151,71 @@ class OpticalBench:
         self._repeat = repeat
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self,
+        integration_time: float,
+        *,
+        shutter_open: bool,
+        lamp_on: bool,
+        sensor_temperature: float,
+        ended: float | None = None,
     ) -> CountArray:
-        """[pixels] raw counts after `integration_time` seconds, with everything standing as it does now.
+        """[pixels] raw counts of `integration_time` seconds that ended at the moment `ended`, or end now.
 
-        `sensor_temperature` in degrees Celsius sets the dark current. A calibration lamp that is mounted is switched
-        together with the bench's own.
+        While a stage moves, the light is averaged over the integration. `sensor_temperature` in degrees Celsius sets
+        the dark current. A calibration lamp that is mounted is switched together with the bench's own.
         """
-        geometry = self.geometry()
+        ended = self._clock.now() if ended is None else min(ended, self._clock.now())
+        first, last = self._geometries(np.array([ended - integration_time, ended]))
         microseconds = round(integration_time * 1e6)
-        key = (self._seed, *self.circumstances, geometry, microseconds, shutter_open, lamp_on)
+        # at rest only where the stages stand counts, and for the dark not even that they move
+        standing = (last,) if first == last or not (shutter_open and lamp_on) else (first, last)
+        key = (self._seed, *self.circumstances, *standing, microseconds, shutter_open, lamp_on)
         random = generator(*key, self._identical[key])
         self._identical[key] += 1
         light = np.zeros(PIXELS)
         if shutter_open and lamp_on:
-            light = random.poisson(GAIN * integration_time * self.light(geometry)) / GAIN
+            seen = self.light(last, ended) if first == last else self._mean_light(ended - integration_time, ended)
+            light = random.poisson(GAIN * integration_time * seen) / GAIN
         dark = random.poisson(GAIN * integration_time * self.dark_current(sensor_temperature)) / GAIN
         counts = self.as_read(light) + dark + self._offset + random.normal(0, READ_NOISE, PIXELS)
         return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.uint32)
 
     def geometry(self) -> Geometry:
         """The true directions, as the stages stand now; rounded, so that nothing else can change the noise."""
+        return self._geometries(np.array([self._clock.now()]))[0]
+
+    def _geometries(self, moments: FloatArray) -> list[Geometry]:
+        """The true directions at each of `moments`, seconds."""
         zeros = self.imperfections.sample_zero, self.imperfections.detector_zero
-        sample, detector = (
-            round((axis.true_position() + zero) * _ANGLE_STEPS) / _ANGLE_STEPS
+        samples, detectors = (
+            [round(angle * _ANGLE_STEPS) / _ANGLE_STEPS for angle in (axis.true_positions(moments) + zero).tolist()]
             for axis, zero in zip(self._axes, zeros, strict=True)
         )
-        return from_stages(sample, detector)
+        return [from_stages(*angles) for angles in zip(samples, detectors, strict=True)]
 
-    def light(self, geometry: Geometry) -> FloatArray:
-        """[pixels] true counts a second without noise, in the directions `geometry` and at the clock's time."""
+    def light(self, geometry: Geometry, moment: float | None = None) -> FloatArray:
+        """[pixels] true counts a second without noise, in the directions `geometry` at a `moment`, s, or now."""
         if self._seen is None or self._seen[0] != geometry:
-            received = self.imperfections.stray_light + self._cosine_brdf(geometry)
+            received = self.imperfections.stray_light + self._cosine_brdf([geometry])[0]
             self._seen = geometry, self._throughput * received
-        return self._seen[1] * self.imperfections.lamp(self._clock.now(), self._wavelengths) + self._lines
+        return self._seen[1] * self._lamp(moment) + self._lines
+
+    def _mean_light(self, began: float, ended: float) -> FloatArray:
+        """[pixels] true counts a second, averaged over the motion of the stages between two moments, seconds."""
+        count = 1
+        while True:
+            edges = self._geometries(np.linspace(began, ended, count + 1))
+            angles = np.array([(g.sample_angle, g.detector_angle) for g in edges])
+            widest = float(np.abs(np.diff(angles, axis=0)).max())
+            if widest <= FINE + 1 / _ANGLE_STEPS:  # what rounding adds
+                break
+            count = math.ceil(count * widest / FINE)
+        middles = self._geometries(began + (np.arange(count) + 0.5) / count * (ended - began))
+        received = self.imperfections.stray_light + self._cosine_brdf(middles).mean(axis=0)
+        return np.asarray(self._throughput * received * self._lamp(ended) + self._lines)
+
+    def _lamp(self, moment: float | None) -> FloatArray:
+        return self.imperfections.lamp(self._clock.now() if moment is None else moment, self._wavelengths)
 
     def dark_current(self, sensor_temperature: float) -> FloatArray:
         """[pixels] mean counts a second without light, at `sensor_temperature` degrees Celsius."""
@@ -204,23 +239,29 @@ class OpticalBench:
         shares = (np.diff(ndtr((edges - wavelength) / std)) * strength for wavelength, strength in lamp.lines)
         return sum(shares, np.zeros(PIXELS))
 
-    def _cosine_brdf(self, geometry: Geometry) -> FloatArray:
-        """[pixels] cos(theta_in) x BRDF x share of the footprint, 1/sr; zero where the detector blocks the source."""
-        mounted = self._mounted
-        if isinstance(mounted, Emitter) or abs(geometry.detector_angle) < BLOCKED_HALF_WIDTH:
-            return np.zeros(PIXELS)
+    def _cosine_brdf(self, geometries: Sequence[Geometry]) -> FloatArray:
+        """[geometries, pixels] cos(theta_in) x BRDF x share of the footprint, 1/sr; zero in the blocked sector."""
+        mounted, found = self._mounted, np.zeros((len(geometries), PIXELS))
+        free = [i for i, g in enumerate(geometries) if abs(g.detector_angle) >= BLOCKED_HALF_WIDTH]
+        if isinstance(mounted, Emitter) or not free:
+            return found
         bench = self.imperfections
-        theta_in, theta_out = np.array([geometry.theta_in]), np.array([geometry.theta_out])
+        theta_in = np.array([geometries[i].theta_in for i in free])
+        theta_out = np.array([geometries[i].theta_out for i in free])
         aperture = STATED.aperture + bench.aperture_error
         field_of_view = STATED.field_of_view + bench.field_of_view_error
         if isinstance(mounted, Panel):
             wavelengths = _within(self._wavelengths, mounted.certificate.wavelengths)
-            brdf = true_brdf(mounted, theta_in, theta_out, wavelengths)[0]
-            brdf = brdf * bench.panel(mounted.certificate, theta_in, theta_out, wavelengths)[0]
+            brdf = true_brdf(mounted, theta_in, theta_out, wavelengths)
+            brdf = brdf * bench.panel(mounted.certificate, theta_in, theta_out, wavelengths)
         else:
-            brdf = true_brdf(mounted, theta_in, theta_out, self._wavelengths, aperture, self._spot)[0]
-        share = share_on_disc(geometry.theta_out, field_of_view, mounted.diameter_mm)
-        return np.asarray(math.cos(math.radians(geometry.theta_in)) * share * brdf)
+            brdf = true_brdf(mounted, theta_in, theta_out, self._wavelengths, aperture, self._spot)
+        seen = [
+            math.cos(math.radians(g.theta_in)) * share_on_disc(g.theta_out, field_of_view, mounted.diameter_mm)
+            for g in (geometries[i] for i in free)
+        ]
+        found[free] = np.array(seen)[:, None] * brdf
+        return found
 
 
 def positioning_error(seed: int, axis_name: str, std_deg: float = STATED.u_angle) -> Callable[..., float]:

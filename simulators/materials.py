@@ -73,6 +73,27 @@ class Panel:
 
 
 @dataclass(frozen=True)
+class Embossed:
+    """A diffuse sheet, of the same reflectance at all wavelengths, into which facets of one tilt are embossed.
+
+    The facets point in all azimuths, so each incident angle has a narrow lobe on either side of the mirror direction,
+    where the half vector is tilted as they are: light that no rough surface sends there.
+    """
+
+    name: str
+    reflectance: float
+    """Of the sheet, diffuse: the BRDF is this over pi."""
+    tilt: float
+    """Of the facets, degrees: their lobes lie at theta_in + 2 tilt and theta_in - 2 tilt."""
+    width: float
+    """Full width at half maximum of a lobe, degrees of theta_out."""
+    height: float
+    """BRDF at the top of a lobe, 1/sr."""
+    diameter_mm: float = 50.0
+    """Of the sheet, mm."""
+
+
+@dataclass(frozen=True)
 class Emitter:
     """What sends back none of the bench's light, and shines by itself or not at all."""
 
@@ -81,7 +102,7 @@ class Emitter:
     """Wavelength in air, nm, and strength of each emission line: counts a second, all pixels of the line together."""
 
 
-Mountable = Material | Panel | Emitter
+Mountable = Material | Panel | Embossed | Emitter
 
 _COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100), diameter_mm=15.0)
 
@@ -120,6 +141,9 @@ SPECTRALON = Panel("spectralon", PANEL_CERTIFICATE)
 _LINE_STRENGTH = 1e6
 """Counts a second of a line of relative strength 1: about 50,000 in its brightest pixel after 0.1 s."""
 
+EMBOSSED = Embossed("embossed", reflectance=0.5, tilt=11.8, width=1.0, height=2.0)
+"""A sheet whose lobes lie where few would look for them."""
+
 MERCURY_ARGON = Emitter(
     "mercury-argon",
     tuple(
@@ -151,11 +175,13 @@ _ALIASES = {"mirror": "sample-6"}
 
 
 def material(name: str) -> Mountable:
-    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, "spectralon", "mercury-argon" or "nothing".
+    """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, or the name of one of the others.
+
+    These are "spectralon", "embossed", "mercury-argon" and "nothing".
 
     Raises `UnknownMaterial`, which lists what there is.
     """
-    others: tuple[Mountable, ...] = (SPECTRALON, MERCURY_ARGON, NOTHING)
+    others: tuple[Mountable, ...] = (SPECTRALON, EMBOSSED, MERCURY_ARGON, NOTHING)
     known: dict[str, Mountable] = {**SAMPLES, **{other.name: other for other in others}}
     found = known.get(_ALIASES.get(name, name))
     if found is None:
@@ -217,6 +243,8 @@ def true_brdf(
         # The formula jumps where theta_in changes sign, which no real panel does: a stage that stands at -0.004 degrees
         # instead of 0 must not exchange forward and back.
         value[above] = what.certificate.brdf(np.abs(theta_in[above]), theta_out[above], wavelengths)
+    elif isinstance(what, Embossed):
+        value[above] = _embossed(what, theta_in[above], theta_out[above], _aperture(aperture, False))[:, None]
     else:
         alpha = what.alpha_at(spot)
         index = aluminium_beyond_its_table().index(wavelengths)
@@ -225,6 +253,14 @@ def true_brdf(
             some = above[start : start + _AT_ONCE]
             value[some] = _metal(what, alpha, theta_in[some], theta_out[some], wavelengths, index, rule)
     return value
+
+
+def _embossed(sheet: Embossed, theta_in: FloatArray, theta_out: FloatArray, aperture: Aperture) -> FloatArray:
+    """[points] of the sheet; a lobe is a Gaussian in the tilt of the half vector within the plane, and as wide across
+    it as the aperture sees."""
+    half = np.abs(theta_out[:, None] + aperture.along - theta_in[:, None]) / 2
+    lobe = np.exp(-4 * np.log(2) * ((half - sheet.tilt) / (sheet.width / 2)) ** 2)
+    return np.asarray((sheet.reflectance / np.pi + sheet.height * lobe) @ aperture.weights)
 
 
 def _metal(

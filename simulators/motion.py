@@ -4,6 +4,9 @@ import math
 import threading
 from collections.abc import Callable
 
+import numpy as np
+
+from drivers.arrays import FloatArray
 from simulators.clock import SimulatedClock
 
 
@@ -88,14 +91,19 @@ class Axis:
         with self._lock:
             return self._homing and self.moving()
 
-    def true_position(self) -> float:
-        """Where the stage really stands now, degrees: the read-back plus the error at the last target."""
+    def true_positions(self, moments: FloatArray) -> FloatArray:
+        """[moments] where the stage really stood or stands, degrees: the read-back plus the error at the last target.
+
+        `moments` are seconds on the clock, none later than now. Of those before the present motion it is known only
+        that it began where that one ended.
+        """
         with self._lock:
-            return self.position() + self._positioning_error(self._target)
+            read = np.array([self._at(float(moment))[0] for moment in moments])
+            return np.asarray(read + self._positioning_error(self._target))
 
     def _at(self, moment: float) -> tuple[float, float]:
         """Position in degrees and velocity in degrees/s."""
-        left = moment - self._begin
+        left = max(moment - self._begin, 0.0)
         position, velocity = self._from, self._initial_velocity
         for duration, acceleration in self._ramps:
             step = min(duration, left)

@@ -53,9 +53,15 @@ class Detector(Protocol):
     """Polynomial c0 + c1 x + ... in counts; 8 numbers."""
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self,
+        integration_time: float,
+        *,
+        shutter_open: bool,
+        lamp_on: bool,
+        sensor_temperature: float,
+        ended: float,
     ) -> CountArray:
-        """[pixels] raw counts after `integration_time` seconds that end now.
+        """[pixels] raw counts of `integration_time` seconds that ended at the moment `ended`, seconds on the clock.
 
         `sensor_temperature` in degrees Celsius; a stable cooler gives exactly the same one every time.
         """
@@ -188,15 +194,17 @@ class SimulatedQEPro(UsbPlug):
 
     # temperature
 
-    def _temperature(self) -> float:
-        """Degrees Celsius of the detector."""
-        wander = math.sin(2 * math.pi * self._clock.now() / RIPPLE_PERIOD) if self._cooler_on else 0.0
-        return self._controlled() + self.faults.ripple * wander
+    def _temperature(self, moment: float | None = None) -> float:
+        """Degrees Celsius of the detector at a `moment`, seconds, or now."""
+        moment = self._clock.now() if moment is None else moment
+        wander = math.sin(2 * math.pi * moment / RIPPLE_PERIOD) if self._cooler_on else 0.0
+        return self._controlled(moment) + self.faults.ripple * wander
 
-    def _controlled(self) -> float:
+    def _controlled(self, moment: float | None = None) -> float:
         """Degrees Celsius without the ripple; the controller holds it exactly once it is near."""
+        moment = self._clock.now() if moment is None else moment
         goal = max(self._set_point + self.faults.offset, self.faults.coldest) if self._cooler_on else ROOM_TEMPERATURE
-        fading = math.exp(-(self._clock.now() - self._then) / COOLING_TIME_CONSTANT)
+        fading = math.exp(-max(moment - self._then, 0.0) / COOLING_TIME_CONSTANT)
         distance = (self._temperature_then - goal) * fading
         return goal if self._cooler_on and abs(distance) < STABLE_WITHIN else goal + distance
 
@@ -290,7 +298,7 @@ class SimulatedQEPro(UsbPlug):
             ended, self._began = self._ends(), None
             if not self._trigger_mode:
                 self._began = ended  # back to back
-            self._buffer += self._take_spectrum()
+            self._buffer += self._take_spectrum(ended)
 
     def _prepare_reply(self, deadline: float) -> bool:
         self._settle()
@@ -299,8 +307,8 @@ class SimulatedQEPro(UsbPlug):
             self._settle()
         return bool(self._coming)
 
-    def _take_spectrum(self) -> list[bytes]:
-        """The spectrum whose integration has just ended; none when it gets lost."""
+    def _take_spectrum(self, ended: float) -> list[bytes]:
+        """The spectrum whose integration ended at that moment, seconds on the clock; none when it gets lost."""
         microseconds, mode, faults = self._integration_us, self._trigger_mode, self.faults
         if self._stale_us is not None:
             microseconds, self._stale_us = self._stale_us, None
@@ -318,12 +326,13 @@ class SimulatedQEPro(UsbPlug):
             microseconds * 1e-6,
             shutter_open=self.shutter_open,
             lamp_on=self.lamp_on,
-            sensor_temperature=round(self._temperature(), 2),
+            sensor_temperature=round(self._temperature(ended), 2),
+            ended=ended,
         )
         if faults.lost_spectra:
             faults.lost_spectra -= 1
             return []
-        tick = round((self._clock.now() - self._switched_on) * 1e6)
+        tick = round((ended - self._switched_on) * 1e6)
         metadata = METADATA.pack(self._count, tick, microseconds, 0, mode)
         self._last_spectrum = metadata + np.minimum(counts, SATURATION).astype("<u4").tobytes()
         return [self._last_spectrum]

@@ -141,7 +141,7 @@ class Glow:
         self.clock = clock
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
     ) -> CountArray:
         """[1044] all alike but the first, which is the moment in hundredths of a second."""
         counts = np.full(self.pixels, glow(integration_time, shutter_open, lamp_on))

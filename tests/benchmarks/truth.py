@@ -29,9 +29,9 @@ class _Standing:
     def __init__(self, angle: float) -> None:
         self.angle = angle
 
-    def true_position(self) -> float:
-        """Degrees."""
-        return self.angle
+    def true_positions(self, moments: FloatArray) -> FloatArray:
+        """[moments] degrees."""
+        return np.full(moments.shape, self.angle)
 
 
 class Truth:

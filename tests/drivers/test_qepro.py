@@ -40,7 +40,7 @@ class Glow:
         self.nonlinearity_coefficients: tuple[float, ...] = (0.875, 2.0**-20, 0, 0, 0, 0, 0, 0)
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
     ) -> CountArray:
         counts = np.full(self.pixels, 1000 + 1000 * integration_time + 100 * shutter_open + 200 * lamp_on)
         counts[0] = round(100 * self.clock.now())
@@ -325,8 +325,8 @@ def test_whatever_befalls_a_message_no_wrong_spectrum_comes_and_the_device_can_b
 
 def test_a_sequence_is_what_repeated_exposures_would_have_been() -> None:
     class Still:
-        def true_position(self) -> float:
-            return 40.0
+        def true_positions(self, moments: np.ndarray) -> np.ndarray:
+            return np.full(moments.shape, 40.0)
 
     def spectra(take: Callable[[QEPro], Awaitable[list[Spectrum]]]) -> np.ndarray:
         clock = SimulatedClock()
@@ -352,6 +352,41 @@ def test_a_sequence_is_what_repeated_exposures_would_have_been() -> None:
     together, apart = spectra(lambda spectrometer: spectrometer.sequence(5.0, 4)), spectra(one_by_one)
     np.testing.assert_array_equal(together, apart)
     assert not np.array_equal(together[0], together[1])
+
+
+def test_spectra_that_are_collected_later_tell_when_they_began(bench: Bench) -> None:
+    async def scenario(spectrometer: QEPro) -> None:
+        single = await spectrometer.expose(0.2)
+        assert single.began == pytest.approx(bench.clock.now() - 0.2)
+        begin = bench.clock.now()
+        begun = await spectrometer.begin_sequence(0.5, 8)
+        assert bench.clock.now() == begin, "it does not wait"
+        await bench.clock.sleep(2.3)  # longer than some of them, and shorter than all
+        spectra = await spectrometer.collect_sequence(begun)
+        assert bench.clock.now() == pytest.approx(begin + 4.0)
+        assert [s.began for s in spectra] == pytest.approx([begin + 0.5 * i for i in range(8)], abs=1e-5)
+        assert [s.count - spectra[0].count for s in spectra] == list(range(8))
+        bench.simulator.faults.slowness = 1.1
+        begun = await spectrometer.begin_sequence(0.5, 3)
+        begin = bench.clock.now()
+        began = [s.began for s in await spectrometer.collect_sequence(begun)]
+        assert began == pytest.approx([begin, begin + 0.55, begin + 1.1], abs=1e-5), "its own ticks count"
+
+    bench.run(scenario)
+
+
+def test_a_wrong_spectrum_of_those_collected_later_is_an_error_and_not_taken_again(bench: Bench) -> None:
+    async def scenario(spectrometer: QEPro) -> None:
+        for fault in ("stale_spectra", "repeated_spectra", "other_modes"):
+            begun = await spectrometer.begin_sequence(0.5, 3)
+            setattr(bench.simulator.faults, fault, 1)
+            begin = bench.clock.now()
+            with pytest.raises(ProtocolError, match="spectr"):
+                await spectrometer.collect_sequence(begun)
+            assert bench.clock.now() == pytest.approx(begin + 1.5)
+            assert len(await spectrometer.sequence(0.5, 2)) == 2, "the device can be used again"
+
+    bench.run(scenario)
 
 
 def test_a_sequence_with_a_hole_is_not_taken_for_a_whole_one(bench: Bench) -> None:

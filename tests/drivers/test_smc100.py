@@ -33,6 +33,17 @@ def test_the_controllers_own_limits_are_reported_in_words(bench: Bench[SMC100]) 
     bench.run(scenario)
 
 
+def test_a_process_that_died_in_a_slow_motion_does_not_leave_the_stage_slow_for_ever(bench: Bench[SMC100]) -> None:
+    async def slow_down(stage: SMC100) -> None:
+        await stage.set_velocity(2.0)
+
+    async def scenario(stage: SMC100) -> None:
+        assert stage.velocity == 20.0, "as it is stored in the controller"
+
+    bench.run(slow_down)
+    bench.run(scenario, bench.driver())
+
+
 def test_an_address_that_pyserial_does_not_know_is_not_found(bench: Bench[SMC100]) -> None:
     with pytest.raises(DeviceNotFound, match="nonsense://x"):
         asyncio.run(SMC100("sample stage", "nonsense://x", bench.clock).open())

@@ -161,6 +161,29 @@ def test_a_move_ends_where_it_should_and_takes_its_time(bench: Bench[Any], facts
     bench.run(scenario)
 
 
+def test_a_stage_tells_where_it_is_while_it_moves(bench: Bench[Any], facts: Facts) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.move_to(10.0)
+        await stage.set_velocity(4.0)
+        begin = bench.clock.now()
+        seconds = await stage.begin_move(50.0)
+        assert bench.clock.now() == begin, "it does not wait"
+        assert seconds == pytest.approx(travel(40, 4, facts.acceleration))
+        for _ in range(4):
+            await bench.clock.sleep(2.0)
+            # constant acceleration up to 4 degrees/s, and then that
+            expected = 10 + 4 * (bench.clock.now() - begin) - 4**2 / (2 * facts.acceleration)
+            assert await stage.position() == pytest.approx(expected, abs=0.01)
+            state = await stage.state()
+            assert (state.phase, state.position) == (StagePhase.MOVING, pytest.approx(expected, abs=0.01))
+        assert await stage.arrive(50.0, seconds - 8) == pytest.approx(50.0, abs=facts.step)
+        assert bench.clock.now() - begin == pytest.approx(seconds, abs=0.2)
+        with pytest.raises(DeviceRefused, match="outside its limits"):
+            await stage.begin_move(facts.limits[1] + 1)
+
+    bench.run(scenario)
+
+
 def test_the_velocity_outlives_homing_and_a_power_cycle(bench: Bench[Any], facts: Facts) -> None:
     async def scenario(stage: Stage) -> None:
         await stage.set_velocity(5.0)

@@ -69,6 +69,8 @@ def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
         (SMALLEST + "monitor: {every: 0}", ["monitor.every", "greater than 0"]),
         (SMALLEST + "monitor: {evry: 5 min}", ["monitor.evry", 'did you mean "every"']),
         (SMALLEST + "homogeneity: {points: 0}", ["homogeneity.points", "1"]),
+        (SMALLEST + "prescan: {step: 3 deg}", ["prescan.step", "2"]),
+        (SMALLEST + "prescan: {}\nresolution: {mode: uniform}", ["prescan", "even grid"]),
         (SMALLEST + "reference: {override: {name: A. Smith}}", ["reference.override.reason", "missing"]),
         (
             SMALLEST + "reference: {override: {name: A. Smith, reason: ' '}}",

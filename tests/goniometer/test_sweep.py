@@ -92,3 +92,14 @@ def test_what_stands_above_its_neighbours_is_examined_until_three_points_lie_in_
     assert summits(readings, []) == [readings[3]]
     assert summits(readings[::-1], [Geometry(30.0, 6.5), Geometry(30.0, 7.0)]) == [readings[3]]
     assert summits(readings, [Geometry(30.0, x) for x in (6.5, 7.0, 7.5)]) == []
+
+
+@pytest.mark.parametrize(("read", "complained"), [(0.5, False), (2.0, True)])
+def test_a_saturated_reading_says_how_bright_it_is_at_least(read, complained):
+    random = np.random.default_rng(1)
+    measured = sampled(sheet(0.0, 0.0), [], random)
+    process = interpolation(SPEC, measured)
+    value = np.array([0.05, 0.055]) * read
+    for saturated in (True, False):
+        reading = Swept(30.0, 20.0, 22.0, value, 0.001 * value, saturated=saturated)
+        assert bool(unexplained(process, [reading], [])) is (complained or not saturated)

@@ -12,10 +12,13 @@ from simulators.bench import (
     GAIN,
     OFFSET,
     READ_NOISE,
+    OpticalBench,
     positioning_error,
 )
+from simulators.clock import SimulatedClock
 from simulators.materials import SAMPLES, UnknownMaterial, true_brdf
-from tests.optical_bench import Bench
+from simulators.motion import Axis
+from tests.optical_bench import Bench, Standing
 
 
 def test_the_detector_has_the_shape_that_the_spectrometer_announces() -> None:
@@ -139,7 +142,7 @@ def test_another_process_draws_the_same_noise() -> None:
     script = (
         "from simulators.bench import OpticalBench, positioning_error as p;"
         "from simulators.clock import SimulatedClock;"
-        "a = type('A', (), {'true_position': lambda self: 7.0})();"
+        "a = type('A', (), {'true_positions': lambda self, moments: 7.0 + 0 * moments})();"
         "b = OpticalBench(SimulatedClock(), seed=3, sample_axis=a, detector_axis=a);"
         "counts = b.read_out(0.1, shutter_open=False, lamp_on=True, sensor_temperature=-10.0);"
         "print(counts.sum(), p(3, 'sample stage')(12.5))"
@@ -172,3 +175,29 @@ def test_what_is_mounted_has_one_name_and_an_unknown_one_changes_nothing() -> No
     with pytest.raises(UnknownMaterial):
         bench.optics.mount("sample-9")
     assert bench.optics.mounted == "sample-6"
+
+
+@pytest.mark.parametrize("name", ["mirror", "embossed", "sample-1"])
+def test_a_moving_detector_reads_the_average_of_what_it_passes(name: str) -> None:
+    clock, sample = SimulatedClock(), Standing()
+    sample.angle = 30.0
+    arm = Axis(clock, start=20.0, velocity=4.0, acceleration=60.0, limits=(-90.0, 180.0))
+    bench = OpticalBench(clock, seed=1, sample_axis=sample, detector_axis=arm)
+    bench.mount(name)
+    arm.move(120.0)
+    clock.advance_to(20.0)
+    still = Bench(name)
+    for ended in (3.3, 9.0, 9.4, 9.7, 9.9, 16.05):
+        seconds = 0.01 if name == "mirror" else 0.5
+        # constant acceleration over 4^2 / (2 * 60) degrees, then 4 degrees/s
+        passed = 20 + 4 * (ended - seconds * (np.arange(200) + 0.5) / 200) - 4**2 / 120
+        light = np.mean(
+            [still.turn(30.0, angle - 30.0).optics.light(still.optics.geometry()) for angle in passed], axis=0
+        )
+        options = {"lamp_on": True, "sensor_temperature": -10.0, "ended": ended}
+        reads = [bench.read_out(seconds, shutter_open=True, **options) for _ in range(20)]
+        darks = [bench.read_out(seconds, shutter_open=False, **options) for _ in range(20)]
+        x = np.mean(reads, axis=0) - np.mean(darks, axis=0)
+        signal = x / np.polynomial.polynomial.polyval(x, bench.nonlinearity_coefficients)
+        noise = np.sqrt(seconds * light.sum() / GAIN / 20 + 1044 * 2 * READ_NOISE**2 / 20)
+        assert signal.sum() == pytest.approx(seconds * light.sum(), rel=2e-3, abs=5 * noise)

@@ -12,6 +12,7 @@ from analysis.models import cook_torrance
 from goniometer.certificate import NOMINAL_SRS99
 from simulators.materials import (
     DETECTOR_APERTURE,
+    EMBOSSED,
     MERCURY_ARGON,
     NOTHING,
     PANEL_CERTIFICATE,
@@ -115,6 +116,16 @@ def test_sample_7_is_rough_in_another_way_at_each_spot_and_no_other_sample_is() 
     assert np.abs(alphas[1:4] - alphas[0]).min() > 0.05
     others = [sample for name, sample in SAMPLES.items() if name != "sample-7"]
     assert all(sample.alpha_at(spot) == sample.alpha for sample in others for spot in range(12))
+
+
+def test_the_embossed_sheet_is_diffuse_but_for_a_lobe_on_either_side_of_the_mirror_direction() -> None:
+    theta_in, red = np.array([30.0, 30.0, 30.0, 30.0, 30.0]), np.array([600.0])
+    lobe = 30.0 + 2 * EMBOSSED.tilt
+    theta_out = np.array([30.0, lobe, 60.0 - lobe, lobe + EMBOSSED.width / 2, -50.0])
+    seen = true_brdf(EMBOSSED, theta_in, theta_out, red, aperture=0.0)[:, 0] - EMBOSSED.reflectance / np.pi
+    assert seen == pytest.approx([0, EMBOSSED.height, EMBOSSED.height, EMBOSSED.height / 2, 0], abs=1e-9)
+    there, back = (true_brdf(EMBOSSED, np.array([a]), np.array([b]), red) for a, b in ((20.0, 44.0), (44.0, 20.0)))
+    assert there == pytest.approx(back)
 
 
 def test_a_lamp_has_no_brdf_and_an_empty_stage_sends_nothing_back() -> None:

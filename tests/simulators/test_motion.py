@@ -76,7 +76,18 @@ def test_the_stage_stands_off_its_read_back_by_the_positioning_error() -> None:
     axis.move(30.0)
     clock.advance_to(60.0)
     assert axis.position() == 30.0
-    assert axis.true_position() == pytest.approx(30.3)
+    assert axis.true_positions(np.array([clock.now()])) == pytest.approx([30.3])
+
+
+def test_it_is_known_where_the_stage_was_at_any_moment_of_its_motion() -> None:
+    clock = SimulatedClock()
+    axis = make_axis(clock, positioning_error=lambda target: 0.01 * target)
+    clock.advance_to(3.0)
+    axis.move(45.0)
+    clock.advance_to(9.0)
+    # ramps of 0.5 s over 2.5 degrees each, and 40 degrees at 10 degrees/s between them
+    seen = axis.true_positions(np.array([1.0, 3.0, 3.5, 5.5, 7.5, 8.0, 9.0]))
+    assert seen - 0.45 == pytest.approx([0, 0, 2.5, 22.5, 42.5, 45, 45])
 
 
 def test_homing_ends_at_zero_and_is_told_apart_from_a_move() -> None:

@@ -202,7 +202,9 @@ class DarkDetector:
     wavelength_coefficients = (350.0, 0.8, -1e-5, 1e-9)
     nonlinearity_coefficients = (1.0, 0.0)
 
-    def read_out(self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float) -> Any:
+    def read_out(
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
+    ) -> Any:
         return np.zeros(self.pixels, dtype=np.uint32)
 
 

@@ -25,7 +25,7 @@ class Ramp:
     nonlinearity_coefficients = (0.875, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def read_out(
-        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+        self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
     ) -> CountArray:
         light = 1e5 * integration_time * shutter_open * lamp_on
         return (1500 + light + np.arange(self.pixels)).astype(np.uint32)
@@ -169,7 +169,7 @@ def test_a_restart_forgets_all_settings_and_starts_counting_again(clock: Simulat
 def test_an_uncooled_sensor_is_read_out_at_its_own_temperature(clock: SimulatedClock) -> None:
     class Thermometer(Ramp):
         def read_out(
-            self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float
+            self, integration_time: float, *, shutter_open: bool, lamp_on: bool, sensor_temperature: float, ended: float
         ) -> CountArray:
             return np.full(self.pixels, round(100 + sensor_temperature), dtype=np.uint32)
 
