@@ -12,7 +12,7 @@ all. A peak that is narrower than the sector, and has no foot outside of it, is 
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -108,10 +108,9 @@ def fill(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -> Fille
     by: list[By] = ["interpolation" if told else "nothing" for told in between[:, 0]]
     weights = np.abs(read.weights[:, :count] * between).max(axis=0)
     points = [tuple(np.flatnonzero((w > 0) & (w >= 0.5 * w.max())).tolist()) for w in weights]
-    relative = _relative(brdf, u)
-    for i, told in enumerate(_by_reciprocity(dataset, theta_in, theta_out)):
-        if told is not None and _relative(told.brdf, told.u) < relative[i]:
-            brdf[i], u[i], by[i], points[i] = told.brdf, told.u, "reciprocity", told.points
+    mirrored, u_mirrored, reverse_points = _by_reciprocity(dataset, theta_in, theta_out)
+    for i in np.flatnonzero(_relative(mirrored, u_mirrored) < _relative(brdf, u)).tolist():
+        brdf[i], u[i], by[i], points[i] = mirrored[i], u_mirrored[i], "reciprocity", reverse_points[i]
     return Filled(theta_in, theta_out, dataset.wavelengths, brdf, u, tuple(by), tuple(points))
 
 
@@ -140,36 +139,32 @@ def _between_points(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArra
     return np.asarray(found)
 
 
-class _Spectrum(NamedTuple):
-    brdf: FloatArray
-    u: FloatArray
-    points: tuple[int, ...]
+def _by_reciprocity(
+    dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[tuple[int, ...], ...]]:
+    """BRDF and standard uncertainty [directions, wavelengths], and from which points; NaN where no reverse is known.
 
-
-def _by_reciprocity(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -> list[_Spectrum | None]:
-    """What the reverse of each direction says of it; None where that was not measured."""
+    How far measured pairs differ beyond their uncertainty, if there are any, is the uncertainty of the law itself: a
+    surface need not look alike from both sides, nor a bench be well adjusted.
+    """
     known = dataset.usable[:, None] & (dataset.brdf > 0)
     cosines = (np.cos(np.radians(dataset.theta_in)) * np.cos(np.radians(dataset.theta_out)))[:, None]
-    logarithm = np.log(np.where(known, dataset.brdf * cosines, np.nan))
-    per_brdf = np.where(known, 1 / np.where(known, dataset.brdf, 1.0), 0.0)
+    logarithm = np.log(np.where(known, dataset.brdf * cosines, 1.0))
     bright = np.mean(known, axis=1) > 0.5
-    typical = np.nanmedian(np.where(bright[:, None], logarithm, 0.0), axis=1)
-    rows = rows_of(dataset, bright)
+    rows, typical = rows_of(dataset, bright), np.sum(logarithm, axis=1) / np.maximum(known.sum(axis=1), 1)
+    weights, u_between = np.zeros((theta_in.size, dataset.theta_in.size)), np.full(theta_in.size, np.nan)
+    points: list[tuple[int, ...]] = [()] * theta_in.size
+    for i in np.flatnonzero(np.abs(theta_in + theta_out) >= BLOCKED_HALF_WIDTH).tolist():
+        told = reverse(dataset, rows, typical, float(theta_in[i]), float(theta_out[i]))
+        if told is not None:
+            weights[i, told.points], u_between[i], points[i] = told.weights, told.u, tuple(told.points.tolist())
+    target = (np.cos(np.radians(theta_in)) * np.cos(np.radians(theta_out)))[:, None]
+    brdf = np.where((weights != 0) @ ~known, np.nan, np.exp(weights @ logarithm) / target)
     pairs = reciprocity(dataset)
     broken = max(float(np.mean(pairs.difference**2 - pairs.u**2)), 0.0) if pairs.u.size else 0.0
-    found: list[_Spectrum | None] = []
-    for a, b in zip(theta_in.tolist(), theta_out.tolist(), strict=True):
-        told = reverse(dataset, rows, typical, a, b)
-        if told is None:
-            found.append(None)
-            continue
-        weights = np.zeros((1, dataset.theta_in.size))
-        weights[0, told.points] = told.weights
-        brdf = np.exp(told.weights @ logarithm[told.points]) / (np.cos(np.radians(a)) * np.cos(np.radians(b)))
-        variance = variance_of_readings(weights, per_brdf, dataset.sources)[0]
-        u = brdf * np.sqrt(variance + told.u**2 + broken)
-        found.append(_Spectrum(brdf, u, tuple(told.points.tolist())))
-    return found
+    per_brdf = np.where(known, 1 / np.where(known, dataset.brdf, 1.0), 0.0)
+    variance = variance_of_readings(weights, per_brdf, dataset.sources) + u_between[:, None] ** 2 + broken
+    return brdf, brdf * np.sqrt(variance), tuple(points)
 
 
 def _rise(read: Between, first: int) -> FloatArray:
@@ -192,5 +187,5 @@ def _rise(read: Between, first: int) -> FloatArray:
 
 def _relative(brdf: FloatArray, u: FloatArray) -> FloatArray:
     """[...] relative standard uncertainty of spectra [..., wavelengths], as the median over wavelengths."""
-    known = np.isfinite(brdf) & (brdf > 0)
+    known = np.isfinite(brdf * u) & (brdf > 0)
     return np.asarray(np.nanmedian(np.where(known, u / np.where(known, brdf, 1.0), np.inf), axis=-1))

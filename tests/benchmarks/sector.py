@@ -70,8 +70,8 @@ def sector(name: str, truth: Material, seeds: range, beside: Sequence[float] = (
     rms, largest = (float(v) for v in (np.sqrt(np.mean(np.square(np.hstack(errors)))), np.abs(np.hstack(errors)).max()))
     u, within, mute = (float(np.mean(np.hstack(v))) for v in (np.square(np.hstack(stated)), covered, silent))
     print(
-        f"{name:30}{points / len(seeds) / len(THETA_IN):7.1f}{100 * rms:9.2f}{100 * largest:9.1f}{100 * np.sqrt(u):9.2f}"
-        f"{100 * within:9.1f}{100 * mute:9.1f}",
+        f"{name:30}{points / len(seeds) / len(THETA_IN):7.1f}{100 * rms:9.2f}{100 * largest:9.1f}"
+        f"{100 * np.sqrt(u):9.2f}{100 * within:9.1f}{100 * mute:9.1f}",
         flush=True,
     )
 

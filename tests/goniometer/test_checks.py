@@ -120,6 +120,19 @@ def test_energy_of_facets_is_that_of_the_whole_hemisphere_within_its_uncertainty
     assert found.rho[0, 0] == pytest.approx(truth, rel=0.09)
 
 
+@pytest.mark.parametrize("alpha", [0.02, 0.1])
+def test_energy_at_normal_incidence_counts_the_lobe_that_the_detector_hides(alpha: float) -> None:
+    incident, theta_out = directions(alpha)
+    tilt, turn = np.radians(incident), np.radians(theta_out)
+    pairs = (np.stack([np.sin(a), 0 * a, np.cos(a)], axis=-1) for a in (-tilt, turn))
+    f = ggx_lobe(_from_vectors(*pairs), alpha)
+    own = ErrorSource("random", "random", np.repeat(1e-3 * f[:, None], 3, axis=1), None, False)
+    found = energy(of_values(incident, theta_out, f, (own,)))
+    assert found.theta_in[0] == 0
+    assert found.rho[0, 0] == pytest.approx(hemisphere(alpha, 0.0), abs=3 * found.u[0, 0])
+    assert found.u[0, 0] < 0.05
+
+
 @pytest.mark.parametrize("theta_in", [0.0, 30.0, 60.0, 80.0])
 def test_a_white_lambertian_surface_reflects_all_light_and_is_not_accused(theta_in: float) -> None:
     theta_out = np.array([o for o in np.arange(-85.0, 86, 10) if abs(o + theta_in) >= 5])

@@ -136,7 +136,8 @@ def test_where_nothing_rises_to_the_sector_it_is_as_well_known_as_its_edges() ->
     found, truth = _sector(MATERIALS["GGX 0.126"])
     assert found.tells.all()
     assert np.all(found.u < 0.02 * found.brdf)
-    assert np.mean(np.abs(found.brdf - truth) < 2 * found.u) > 0.95
+    assert np.mean(np.abs(found.brdf - truth) < 2 * found.u) > 0.9
+    assert np.all(np.abs(found.brdf - truth) < 4 * found.u)
 
 
 def test_a_mirror_that_is_known_from_other_incident_angles_is_filled_at_normal_incidence() -> None:
