@@ -11,26 +11,25 @@ What rises towards the sector beyond what the lobes explain is allowed to rise o
 all. A peak that is narrower than the sector, and has no foot outside of it, is not excluded by anything.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.between import Between, interpolate
+from goniometer.between import interpolate
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.reciprocity import Row, reciprocity, reverse, rows_of
+from goniometer.sector import edges, rise, unseen
 from goniometer.uncertainty import variance_of_readings
 
 TELLS = 0.3
 """Relative standard uncertainty, as the median over wavelengths, above which a filled spectrum says nothing."""
 
-_BESIDE = 1.5
-"""Degrees from the sector's edge over which its slope is taken."""
-
-_EDGES = np.array([-1, -1, 1, 1]) * BLOCKED_HALF_WIDTH + np.array([-1, 0, 0, 1]) * _BESIDE
-"""theta_in + theta_out, degrees, of both edges and beside them."""
+_GAP = 1.6
+"""How much larger than the process believes its errors in the sector may be: it judges itself by predicting each point
+from its neighbours, but there no neighbour is near (`python -m tests.benchmarks.sector` shows both)."""
 
 _STAGES = 0.2
 """Degrees by which a point may stand beside its planned direction, and a sector's edge be off by that."""
@@ -98,13 +97,16 @@ def fill(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -> Fille
     """
     count = theta_in.size
     incident = np.unique(theta_in)
-    beside = np.repeat(incident, _EDGES.size), (_EDGES - incident[:, None]).ravel()
+    beside = edges(incident)
     read = interpolate(dataset, np.append(theta_in, beside[0]), np.append(theta_out, beside[1]))
-    inside = np.maximum(BLOCKED_HALF_WIDTH - np.abs(theta_in + theta_out), 0.0)
-    unseen = _rise(read, count)[np.searchsorted(incident, theta_in)] * inside / np.sqrt(3)
+    level = np.nanmedian(read.brdf[count:], axis=1) * np.cos(np.radians(beside[0]))
+    steepness = rise(read.shape, *beside, level)[np.searchsorted(incident, theta_in)]
+    hidden = unseen(steepness, theta_in, theta_out)[:, None]
+    gap = np.where(np.abs(theta_in + theta_out) < BLOCKED_HALF_WIDTH, _GAP**2 - 1, 0.0)[:, None]
     between = _between_points(dataset, theta_in, theta_out)[:, None]
     brdf = np.where(between, read.brdf[:count], np.nan)
-    u = np.where(between, np.hypot(read.u_total[:count], read.brdf[:count] * unseen[:, None]), np.nan)
+    variance = read.u_total[:count] ** 2 + gap * read.u[:count] ** 2 + (read.brdf[:count] * hidden) ** 2
+    u = np.where(between, np.sqrt(variance), np.nan)
     by: list[By] = ["interpolation" if told else "nothing" for told in between[:, 0]]
     weights = np.abs(read.weights[:, :count] * between).max(axis=0)
     points = [tuple(np.flatnonzero((w > 0) & (w >= 0.5 * w.max())).tolist()) for w in weights]
@@ -165,24 +167,6 @@ def _by_reciprocity(
     per_brdf = np.where(known, 1 / np.where(known, dataset.brdf, 1.0), 0.0)
     variance = variance_of_readings(weights, per_brdf, dataset.sources) + u_between[:, None] ** 2 + broken
     return brdf, brdf * np.sqrt(variance), tuple(points)
-
-
-def _rise(read: Between, first: int) -> FloatArray:
-    """[incident angles] how steeply ln f rises to the sector beyond what the lobes explain, per degree; not below zero.
-
-    `read` has the `_EDGES` of each incident angle from number `first` on. What is unseen in the sector is between
-    nothing and a rise on to the middle that is as steep: a rectangular distribution of that half width. A
-    retro-reflection that was fitted explains nothing, for its peak is in the sector.
-    """
-    theta_in, theta_out = read.theta_in[first:], read.theta_out[first:]
-    lobe, offset = replace(read.shape.lobe, log_retro=-np.inf), read.shape.offset
-    level = np.nanmedian(read.brdf[first:], axis=1) * np.cos(np.radians(theta_in))
-    excess = np.log(offset + level) - np.log(offset + lobe.cosine_brdf(theta_in, theta_out))
-    excess = np.where(np.abs(theta_out) <= LARGEST_ANGLE, excess, np.nan)
-    outer_left, left, right, outer_right = excess.reshape(-1, _EDGES.size).T
-    slopes = np.stack([left - outer_left, right - outer_right]) / _BESIDE
-    known = np.isfinite(slopes)
-    return np.asarray(np.maximum(np.where(known, slopes, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0))
 
 
 def _relative(brdf: FloatArray, u: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from goniometer.dataset import Check, Dataset, Flag
 from goniometer.energy import energy
 from goniometer.reciprocity import reciprocity
 from goniometer.uncertainty import ErrorSource, everywhere
+from simulators.materials import SAMPLES
 from tests.drawn_dataset import directions, drawn_dataset
 
 NAMES = ["reciprocity", "energy", "values", "drift", "saturation", "homogeneity", "noise floor", "footprint"]
@@ -223,7 +224,8 @@ SPOT = (np.full(5, 40.0), np.array([-70.0, -10, 30, 40, 70]))
 def test_a_sample_that_is_the_same_everywhere_passes_at_another_spot(name: str) -> None:
     for seed in range(4):
         zeros = (0.01, -0.01)  # both scans have the same
-        dataset = drawn_dataset(name, seed=seed, zeros=zeros, reference_error=0.01)
+        around = directions(SAMPLES[name].alpha, (30, 40, 50))
+        dataset = drawn_dataset(name, seed=seed, zeros=zeros, reference_error=0.01, at=around)
         spot = drawn_dataset(name, seed=100 + seed, zeros=zeros, reference_error=0.01, spot=1, at=SPOT)
         assert asked(dataset, "homogeneity", spot=spot).passed, name
 
