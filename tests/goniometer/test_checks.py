@@ -126,7 +126,7 @@ def test_energy_at_normal_incidence_counts_the_lobe_that_the_detector_hides(alph
     incident, theta_out = directions(alpha)
     tilt, turn = np.radians(incident), np.radians(theta_out)
     pairs = (np.stack([np.sin(a), 0 * a, np.cos(a)], axis=-1) for a in (-tilt, turn))
-    f = ggx_lobe(_from_vectors(*pairs), alpha)
+    f = lobe(_from_vectors(*pairs), alpha)
     own = ErrorSource("random", "random", np.repeat(1e-3 * f[:, None], 3, axis=1), None, False)
     found = energy(of_values(incident, theta_out, f, (own,)))
     assert found.theta_in[0] == 0
