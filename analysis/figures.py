@@ -3,14 +3,16 @@
 Figure numbers are those of Clausen et al. 2022. Every function takes a `name` that is unique in the page.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.colour import brdf_to_rgb, display_encoded
+from analysis.filled_figure import STEP, at_nearest, draw_filled, filled_cells, filled_legend, hatch
 from analysis.models import cosine_slope
-from analysis.noise import at_wavelength, clear_of_noise, flag_words, hue_is_known
+from analysis.noise import LEAST_SIGNAL_FOR_HUE, at_wavelength, clear_of_noise, flag_words, hue_is_known
 from analysis.notation import with_uncertainty
 from analysis.results import LocalFit, ModelFit
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
@@ -19,6 +21,7 @@ from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.between import FEWEST, interpolate
 from goniometer.budget import COVERAGE_FACTOR
 from goniometer.dataset import Dataset
+from goniometer.fill import Filled
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
 SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#94790f")
@@ -101,23 +104,25 @@ def _halfway(places: FloatArray, largest_end: float) -> tuple[FloatArray, FloatA
 
 
 def colour_map(
-    dataset: Dataset, values: FloatArray, exposure: Exposure | None, name: str, title: str, *, measured: bool = False
+    dataset: Dataset,
+    values: FloatArray,
+    exposure: Exposure | None,
+    name: str,
+    title: str,
+    *,
+    measured: bool = False,
+    filled: Filled | None = None,
 ) -> str:
     """In-plane map of `values` [points, wavelengths], 1/sr, as colours under D65 (Fig. 5).
 
     With `exposure` None every cell is shown at the same luminance, so that only its hue is left; cells whose
     signal at 600 nm is below twenty standard uncertainties of its counts stay pale then. Tooltips
     give the angles and, for `measured` values, the BRDF at 600 nm with its combined standard uncertainty (coverage
-    factor 1) and what the point is flagged for; flagged cells are outlined then.
+    factor 1) and what the point is flagged for; flagged cells are outlined then. What is `filled` and
+    known well enough lies under the hatching of what was not measured, and its tooltip says so.
     """
-    rgb = brdf_to_rgb(values, dataset.theta_in, dataset.wavelengths)
     f, u = at_wavelength(dataset, 600.0)
-    if exposure is None:
-        luminance = rgb @ [0.2126, 0.7152, 0.0722]
-        rgb = 0.45 * rgb / np.where((luminance > 0) & hue_is_known(dataset, 600.0), luminance, np.nan)[:, None]
-    else:
-        rgb = rgb * exposure.factor
-    fills = [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]
+    fills = _fills(values, dataset.theta_in, dataset.wavelengths, exposure, hue_is_known(dataset, 600.0))
     if not measured:
         return _map(dataset, fills, [""] * f.size, name, title)
     words = [flag_words(int(flags)) for flags in dataset.flags]
@@ -125,7 +130,29 @@ def colour_map(
         f"f(600 nm) = {with_uncertainty(value, error)} 1/sr{'; ' if flagged else ''}{flagged}"
         for value, error, flagged in zip(f, u, words, strict=True)
     ]
-    return _map(dataset, fills, extra, name, title, dataset.flags != 0)
+    return _map(dataset, fills, extra, name, title, dataset.flags != 0, _unmeasured_cells(dataset, filled, exposure))
+
+
+def _fills(
+    values: FloatArray, theta_in: FloatArray, wavelengths: FloatArray, exposure: Exposure | None, has_hue: BoolArray
+) -> list[str]:
+    """CSS colours of spectra [points, wavelengths], 1/sr; without an exposure all of one luminance."""
+    rgb = brdf_to_rgb(values, theta_in, wavelengths)
+    if exposure is None:
+        luminance = rgb @ [0.2126, 0.7152, 0.0722]
+        rgb = 0.45 * rgb / np.where((luminance > 0) & has_hue, luminance, np.nan)[:, None]
+    else:
+        rgb = rgb * exposure.factor
+    return [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]
+
+
+def _unmeasured_cells(dataset: Dataset, filled: Filled | None, exposure: Exposure | None) -> list[Cell]:
+    if filled is None:
+        return []
+    f, u = at_nearest(filled, 600.0)
+    fills = _fills(filled.brdf, filled.theta_in, filled.wavelengths, exposure, f > LEAST_SIGNAL_FOR_HUE * u)
+    rows = {(bottom, top) for _, _, bottom, top in cell_edges(dataset.theta_in, dataset.theta_out).tolist()}
+    return filled_cells(filled, fills, sorted(rows))
 
 
 def difference_map(dataset: Dataset, differences: FloatArray, largest: float, name: str, title: str) -> str:
@@ -153,7 +180,13 @@ def _scale_colour(share: float) -> str:
 
 
 def _map(
-    dataset: Dataset, fills: list[str], extra: list[str], name: str, title: str, outlined: BoolArray | None = None
+    dataset: Dataset,
+    fills: list[str],
+    extra: list[str],
+    name: str,
+    title: str,
+    outlined: BoolArray | None = None,
+    unmeasured: Sequence[Cell] = (),
 ) -> str:
     edges = cell_edges(dataset.theta_in, dataset.theta_out)
     marked = np.zeros(len(fills), dtype=bool) if outlined is None else outlined
@@ -172,6 +205,8 @@ def _map(
         )
         if edge[1] > edge[0]
     ]
+    label = f"{title}: {len(cells)} cells, reflected angle across, incident angle up"
+    cells += unmeasured
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     low, high = float(edges[:, 2].min()), float(edges[:, 3].max())
     with style():
@@ -181,34 +216,35 @@ def _map(
         for g in range(groups.max() + 1):
             centre = -float(dataset.theta_in[groups == g].mean())
             bottom, top = edges[groups == g][0, 2:]
-            axes.fill_between(
-                [centre - BLOCKED_HALF_WIDTH, centre + BLOCKED_HALF_WIDTH],
-                bottom, top, facecolor="none", edgecolor=INK, hatch="/////", linewidth=0, alpha=0.55,
-            )  # fmt: skip
+            hatch(
+                axes, centre - BLOCKED_HALF_WIDTH, centre + BLOCKED_HALF_WIDTH, bottom, top, on_colour=bool(unmeasured)
+            )
+        for cell in unmeasured:
+            if cell.right - cell.left > STEP:  # outside the sector
+                hatch(axes, cell.left, cell.right, cell.bottom, cell.top, on_colour=True)
         line = np.array([low, high])
         for side, dashes in ((1, (4, 3)), (-1, (1.5, 2.5))):
             # black on white, so that the line is seen on cells of any colour
             axes.plot(side * line, line, color="white", linewidth=1)
             axes.plot(side * line, line, color="black", linewidth=1, dashes=dashes)
-        label = f"{title}: {len(cells)} cells, reflected angle across, incident angle up"
         return to_svg(figure, name, label, (axes, cells))
 
 
 # --- curves (Figs. 3, 6, 9) ------------------------------------------------------------------------------------
 
 
-def distributions(dataset: Dataset, name: str, wavelength: float = 600.0) -> str:
+def distributions(dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None) -> str:
     """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
 
     Dots are measured values, lines are read between them (`goniometer.between`), straight where the points are too few
     for that. Bands are expanded uncertainties of both. Values that are not positive are left out; gaps are the blocked
-    sector.
+    sector, dashed where it is `filled`.
     """
     f, u = at_wavelength(dataset, wavelength)
     enough = np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
     read = _between(dataset, wavelength) if enough else {}
     with style():
-        figure, axes = new_axes(430, 300, right=62, top=10)
+        figure, axes = new_axes(430, 300, right=62, top=10 if filled is None else 34)
         for (angle, order), colour in _by_incidence(dataset):
             theta, value, u_value = dataset.theta_out[order], f[order], u[order]
             axes.plot(theta, np.where(value > 0, value, np.nan), "o", color=colour, markersize=1.8)
@@ -217,19 +253,20 @@ def distributions(dataset: Dataset, name: str, wavelength: float = 600.0) -> str
             low = np.maximum(value - COVERAGE * u_value, 0.5 * value)
             axes.fill_between(theta, low, value + COVERAGE * u_value, color=colour, alpha=0.25, linewidth=0)
             axes.plot(theta, value, color=colour, linewidth=1.2, label=f"{angle:.0f}°")
+            if filled is not None:
+                draw_filled(axes, filled, angle, wavelength, COVERAGE, colour)
         axes.set(yscale="log", xlim=_MAP_LIMITS, xticks=range(-90, 91, 30))
         axes.set(xlabel="reflected angle θ out / °", ylabel=f"BRDF at {wavelength:g} nm / (1/sr)")
         axes.yaxis.set_major_formatter(_power_of_ten)
         axes.grid(True)
+        if filled is not None:
+            filled_legend(axes, filled)
         axes.legend(title="θ in", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.2)
         return to_svg(figure, name, f"BRDF at {wavelength:g} nm over the reflected angle, one line an incident angle")
 
 
 def _between(dataset: Dataset, wavelength: float) -> dict[float, tuple[FloatArray, FloatArray, FloatArray]]:
-    """For each incident angle theta_out every half degree, and the BRDF and its standard uncertainty there.
-
-    To the uncertainty of reading between points comes that of the points themselves, which all of them may share.
-    """
+    """For each incident angle theta_out every half degree, and the BRDF and its combined standard uncertainty there."""
     rows = {angle: dataset.theta_out[order] for (angle, order), _ in _by_incidence(dataset)}
     grids = {}
     for angle, measured in rows.items():
@@ -239,15 +276,8 @@ def _between(dataset: Dataset, wavelength: float) -> dict[float, tuple[FloatArra
     everywhere = np.concatenate([np.full(theta.size, angle) for angle, theta in grids.items()])
     read = interpolate(near, everywhere, np.concatenate(list(grids.values())))
     middle = near.wavelengths.size // 2
-    relative = near.u[:, middle] / np.abs(near.brdf[:, middle])
-    found = {}
-    for (angle, order), _ in _by_incidence(dataset):
-        mine = everywhere == angle
-        known = order[np.isfinite(relative[order])]
-        value = read.brdf[mine, middle]
-        shared = np.interp(grids[angle], dataset.theta_out[known], relative[known]) if known.size else np.nan
-        found[angle] = grids[angle], value, np.hypot(read.u[mine, middle], value * shared)
-    return found
+    at = {angle: everywhere == angle for angle in grids}
+    return {a: (grids[a], read.brdf[mine, middle], read.u_total[mine, middle]) for a, mine in at.items()}
 
 
 def _at_wavelengths(dataset: Dataset, wavelength: float) -> Dataset:

@@ -8,18 +8,18 @@ from analysis.figures import SEQUENCE
 from analysis.svg import INK, new_axes, style, to_svg
 from goniometer.geometry import BLOCKED_HALF_WIDTH, Geometry
 
-_PLANNED, _FILLED, _SOURCE = SEQUENCE[0], SEQUENCE[5], SEQUENCE[3]
+_PLANNED, _SOURCE = SEQUENCE[0], SEQUENCE[3]
 _INNERMOST = 0.4
 """Radius of the arc of the first incident angle; the last one's is 1."""
 
 
-def polar_view(planned: Sequence[Geometry], name: str, filled: Sequence[Geometry] = ()) -> str:
+def polar_view(planned: Sequence[Geometry], name: str) -> str:
     """The directions around the surface normal, one arc for each incident angle, the steepest inside.
 
-    A dot is a direction, a circle one that is filled and not measured; a triangle shows from where the light comes,
-    a dash across the arc its mirror direction, and hatching where the detector blocks it. `name` is unique in a page.
+    A dot is a direction; a triangle shows from where the light comes, a dash across the arc its mirror direction, and
+    hatching where the detector blocks it. `name` is unique in a page.
     """
-    angles = sorted({g.theta_in for g in [*planned, *filled]})
+    angles = sorted({g.theta_in for g in planned})
     with style():
         figure, axes = new_axes(460, 276, left=8, right=8, bottom=40, top=20)
         axes.set(xlim=(-1.22, 1.22), ylim=(-0.06, 1.18), aspect="equal")
@@ -38,15 +38,12 @@ def polar_view(planned: Sequence[Geometry], name: str, filled: Sequence[Geometry
             axes.plot(
                 *np.column_stack([_at(radius - half, theta_in), _at(radius + half, theta_in)]), color=INK, linewidth=1.2
             )
-            for group, face, edge in ((filled, "none", _FILLED), (planned, _PLANNED, "none")):
-                place = [_at(radius, g.theta_out) for g in group if g.theta_in == theta_in]
-                if place:
-                    xs, ys = [x for x, _ in place], [y for _, y in place]
-                    axes.scatter(xs, ys, s=7, facecolor=face, edgecolor=edge, linewidth=0.8, zorder=3)
+            xs, ys = zip(*(_at(radius, g.theta_out) for g in planned if g.theta_in == theta_in), strict=True)
+            axes.scatter(xs, ys, s=7, facecolor=_PLANNED, edgecolor="none", zorder=3)
         for angle in range(-90, 91, 30):
             axes.text(*_at(1.12, angle), f"{angle}°", ha="center", va="center")
         shells = f"arcs: incident angles {angles[0]:g}° (inside) to {angles[-1]:g}° (outside)"
-        marks = "▾ light, ‒ mirror direction, hatched: blocked" + (", ○ filled, not measured" if filled else "")
+        marks = "▾ light, ‒ mirror direction, hatched: blocked"
         axes.text(0, -0.04, f"{shells}\n{marks}", ha="center", va="top", linespacing=1.4)
         label = f"Polar view of {len(planned)} directions at {len(angles)} incident angles"
         return to_svg(figure, name, label)

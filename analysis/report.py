@@ -123,7 +123,8 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
     flagged, unreliable = int(np.sum(~dataset.usable)), int(np.sum(dataset.usable & ~local.reliable))
     items = [
         f"Directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp ({facts.blocked_points} of a 1° grid): "
-        "the detector would stand in the beam. They are in no picture, no fit and no file.",
+        "the detector would stand in the beam. They are in no fit and no file; pictures show what can be filled there, "
+        "hatched or dashed.",
         f"{facts.failed_points} directions could not be measured." if facts.failed_points else "",
         f"{flagged} spectra are flagged and take no part in the fits; the chapter on quality says which and why."
         if flagged

@@ -3,18 +3,27 @@
 import numpy as np
 
 from analysis import figures
+from analysis.filled_figure import STEP
 from analysis.page import figure
 from analysis.results import ModelFit, SampleAnalysis
+from goniometer.between import FEWEST
+from goniometer.fill import TELLS, Filled, fill, unmeasured
 
 
 def measured_chapter(analysis: SampleAnalysis) -> str:
     """What was measured: maps, distributions, spectra."""
     dataset, local = analysis.dataset, analysis.local
     exposure = figures.exposure_of(dataset)
+    enough = np.count_nonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1)) >= FEWEST
+    filled = fill(dataset, *unmeasured(dataset, STEP)) if enough else None
     clipped = f"; {exposure.clipped} cells are brighter than the display and clipped" if exposure.clipped else ""
     maps = [
-        figures.colour_map(dataset, dataset.brdf, exposure, "measured", "As bright as measured", measured=True),
-        figures.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
+        figures.colour_map(
+            dataset, dataset.brdf, exposure, "measured", "As bright as measured", measured=True, filled=filled
+        ),
+        figures.colour_map(
+            dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True, filled=filled
+        ),
     ]
     return (
         "<h2>What was measured</h2>"
@@ -22,17 +31,18 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
             maps,
             "Each cell is one measured spectrum, shown in its own colour under daylight (D65, BT.709; exposure "
             f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the lamp; there the "
-            "detector blocks the light (hatched). Empty places were not measured; on the right, pale cells are too "
+            "detector blocks the light. Hatched places were not measured; a colour under the hatching is filled, and "
+            "pointing at it says by what. Empty places were not measured; on the right, pale cells are too "
             "dark to have a hue. Point at a cell for its angles and its BRDF, with its combined standard uncertainty "
             "(coverage factor 1) in brackets. A dashed outline marks a flagged cell; pointing at it says for what.",
         )
         + '<div class="pair"><div><h3>Where the light goes</h3>'
         + figure(
-            [figures.distributions(dataset, "distributions")],
+            [figures.distributions(dataset, "distributions", filled=filled)],
             "BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are measurements, lines are "
             "read between them by a process that knows how well it can. Bands are "
-            f"expanded uncertainties (coverage factor {figures.COVERAGE}) and mostly thinner than the lines. Lines "
-            "break where the detector blocks the source.",
+            f"expanded uncertainties (coverage factor {figures.COVERAGE}) and mostly thinner than the lines. "
+            + _filled_words(filled),
         )
         + "</div><div><h3>How its colour changes</h3>"
         + figure(
@@ -43,6 +53,24 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
             "wavelengths share; lines: the local fit.",
         )
         + "</div></div>"
+    )
+
+
+def _filled_words(filled: Filled | None) -> str:
+    """What is dashed in the distributions, what not even that, and what is assumed."""
+    if filled is None:
+        return "Lines break where the detector blocks the source."
+    silent = int(np.sum(~filled.tells))
+    words = (
+        "Where the detector blocks the source, lines are dashed: <em>filled by interpolation, not measured</em>, from "
+        "both edges and the other incident angles, under the assumption that nothing in there is steeper than at the "
+        "edges; a peak narrower than the gap would go unseen. Nothing filled takes part in any fit."
+    )
+    if not silent:
+        return words
+    return (
+        f"{words} At {silent} of {filled.theta_in.size} filled directions the relative standard uncertainty exceeds "
+        f"{100 * TELLS:.0f} %, so nothing can be said and nothing is drawn."
     )
 
 

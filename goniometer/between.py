@@ -1,14 +1,16 @@
 """The spectral BRDF of a dataset between its measured directions, with its uncertainty."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.errors import CalibrationError
-from goniometer.interpolant import condition, latent, learn, predict
+from goniometer.interpolant import Shape, condition, latent, learn, predict
+from goniometer.uncertainty import variance_of_readings
 
 FEWEST = 8
 """Points that an interpolation needs."""
@@ -28,7 +30,17 @@ class Between:
     """[points, wavelengths] 1/sr."""
     u: FloatArray
     """[points, wavelengths] standard uncertainty by interpolation and by the noise of the measured points, 1/sr. What
-    all points share, such as the reference's uncertainty, comes on top and is the dataset's."""
+    wavelengths share, such as the reference's uncertainty, comes on top."""
+    u_total: FloatArray
+    """[points, wavelengths] combined standard uncertainty, with the errors that wavelengths share, 1/sr."""
+    weights: FloatArray
+    """[patterns, points, dataset's points] change of ln(offset + cos(theta_in) f) for that of a measured point; zero
+    for points that took no part."""
+    pattern: NDArray[np.intp]
+    """[wavelengths] which of the `weights` a wavelength was read with: there is a set for each choice of points that
+    have a value."""
+    shape: Shape
+    """What was learnt of the sample as a whole, the offset among it."""
 
 
 def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -> Between:
@@ -38,10 +50,10 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
     reconstructed with its weights, each with a variance of its own. A wavelength that a point has no value for is
     interpolated without that point. Raises `CalibrationError` where fewer than `FEWEST` usable points have a spectrum.
     """
-    usable = dataset.usable & np.isfinite(dataset.brdf).any(axis=1)
-    if np.count_nonzero(usable) < FEWEST:
+    usable = np.flatnonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1))
+    if usable.size < FEWEST:
         raise CalibrationError(
-            f'Sample "{dataset.sample}" has {np.count_nonzero(usable)} usable points; an interpolation needs {FEWEST}'
+            f'Sample "{dataset.sample}" has {usable.size} usable points; an interpolation needs {FEWEST}'
         )
     at_in, at_out = dataset.theta_in[usable], dataset.theta_out[usable]
     cosine = np.cos(np.radians(at_in))[:, None]
@@ -51,12 +63,13 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
         raise CalibrationError(f'Sample "{dataset.sample}" has no wavelength at which all usable points have a value')
     shape = learn(at_in, at_out, values[:, whole], noise[:, whole], dataset.u_angle)
     brdf = np.empty((theta_in.size, dataset.wavelengths.size))
-    u = np.empty_like(brdf)
+    u, shared = np.empty_like(brdf), np.empty_like(brdf)
     patterns, which = np.unique(np.isfinite(values), axis=1, return_inverse=True)
+    weights = np.zeros((patterns.shape[1], theta_in.size, dataset.theta_in.size))
     for i, pattern in enumerate(patterns.T):
         bands = np.flatnonzero(which == i)
         if np.count_nonzero(pattern) < FEWEST:
-            brdf[:, bands] = u[:, bands] = np.nan
+            brdf[:, bands] = u[:, bands] = shared[:, bands] = np.nan
             continue
         known = np.ix_(pattern, bands)
         process = condition(shape, at_in[pattern], at_out[pattern], values[known], noise[known])
@@ -69,5 +82,30 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
         variance = variance + through.T**2 @ np.maximum(excess, 0.0)
         brdf[:, bands] = np.maximum(level - shape.offset, 0.0)
         u[:, bands] = level * np.sqrt(variance)
+        weights[i][:, usable[pattern]] = through.T
+        shared[:, bands] = level * np.sqrt(_shared(dataset, bands, weights[i], shape.offset))
     target = np.cos(np.radians(theta_in))[:, None]
-    return Between(theta_in, theta_out, dataset.wavelengths, brdf / target, u / target)
+    return Between(
+        theta_in,
+        theta_out,
+        dataset.wavelengths,
+        brdf / target,
+        u / target,
+        np.hypot(u, shared) / target,
+        weights,
+        np.asarray(which).ravel(),
+        shape,
+    )
+
+
+def _shared(dataset: Dataset, bands: NDArray[np.intp], weights: FloatArray, offset: float) -> FloatArray:
+    """[directions, bands] variance of ln(offset + cos f) by the errors that wavelengths share.
+
+    The lobes may move up and down, so the weights of a direction sum to about one, and what all points share passes on.
+    """
+    sources = tuple(
+        replace(source, values=source.values[:, bands]) for source in dataset.sources if source.shared_by_wavelengths
+    )
+    cosine = np.cos(np.radians(dataset.theta_in))[:, None]
+    per_brdf = cosine / (offset + np.nan_to_num(np.maximum(dataset.brdf[:, bands], 0.0)) * cosine)
+    return variance_of_readings(weights, per_brdf, sources)

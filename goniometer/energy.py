@@ -14,16 +14,20 @@ p = 1/2, and what the two others differ by as the width of a rectangular distrib
 to agree, shadowing still differs out of the plane: a few per cent at large theta_in for GGX lobes of all widths.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import incidence_groups
 from goniometer.averages import Averages, averages, narrow
+from goniometer.between import FEWEST
 from goniometer.dataset import Dataset
+from goniometer.fill import Filled, fill
+from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.reciprocity import SAME_INCIDENCE
 
 BAND = 25.0
@@ -37,6 +41,9 @@ _BEYOND = 5.1
 
 _RINGS, _SPOKES = 300, 48
 """Nodes in theta_h, dense near 0, and in psi over half a turn."""
+
+_BLOCKED = np.linspace(-BLOCKED_HALF_WIDTH, BLOCKED_HALF_WIDTH, 41)[1:-1]
+"""theta_in + theta_out of the blocked directions that are filled, degrees."""
 
 _DARK = 1e-7
 """Part of the largest value of a slice that stands for values that are smaller or negative."""
@@ -67,11 +74,14 @@ class _Slice(NamedTuple):
 def energy(dataset: Dataset) -> Energy:
     """rho of every incident angle with three or more usable directions on its slice; there may be none.
 
-    Where the slice ends early, only what was measured of it is summed, so rho is then a lower limit. So it is at
-    normal incidence, where a narrow lobe lies in the blocked directions.
+    Where the slice ends early, only what was measured of it is summed, so rho is then a lower limit. The blocked
+    directions are read between their edges. Where these hide the lobe, as at normal incidence, they are filled from the
+    other incident angles (`goniometer.fill`), and their uncertainty, as of one error, is part of `u`; where too little
+    is known to fill them, rho is a lower limit there, too.
     """
     weights = narrow(dataset.wavelengths, BAND)
     mean = averages(dataset, weights)
+    filled = _hidden_lobes(dataset, mean, dataset.wavelengths @ weights)
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     usable = np.isfinite(mean.values).all(axis=1)
     found = []
@@ -82,7 +92,7 @@ def energy(dataset: Dataset) -> Energy:
         members = members[apart]
         if members.size >= 3:
             theta_in = float(dataset.theta_in[members].mean())
-            found.append((theta_in, *_reflectance(theta_in, dataset.theta_out[members], mean, members)))
+            found.append((theta_in, *_reflectance(theta_in, _nodes(dataset, mean, members, filled), mean, members)))
     found.sort(key=lambda each: each[0])
     bands = weights.shape[1]
     return Energy(
@@ -93,12 +103,49 @@ def energy(dataset: Dataset) -> Energy:
     )
 
 
+class _Nodes(NamedTuple):
+    """What is known of one slice, in order of theta_out."""
+
+    theta_out: FloatArray
+    """[nodes] degrees."""
+    f: FloatArray
+    """[nodes, bands] 1/sr."""
+    u: FloatArray
+    """[nodes, bands] standard uncertainty of what was filled, 1/sr; zero for what was measured."""
+    measured: BoolArray
+    """[nodes]"""
+
+
+def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled | None:
+    """The blocked directions of incident angles whose mirror direction is one of them; None where nothing fills any."""
+    incident = np.unique(dataset.theta_in[2 * dataset.theta_in < BLOCKED_HALF_WIDTH].round(1))
+    known = np.isfinite(mean.values).all(axis=1)
+    if not incident.size or np.count_nonzero(known) < FEWEST:
+        return None
+    averaged = replace(dataset, wavelengths=bands, brdf=mean.values, sources=mean.sources)
+    theta_in, s = (each.ravel() for each in np.meshgrid(incident, _BLOCKED, indexing="ij"))
+    return fill(averaged, theta_in, s - theta_in)
+
+
+def _nodes(dataset: Dataset, mean: Averages, members: NDArray[np.intp], filled: Filled | None) -> _Nodes:
+    """The measured directions `members` of a slice, and those that are filled and known well enough."""
+    theta_out, f = dataset.theta_out[members], mean.values[members]
+    u, measured = np.zeros(f.shape), np.ones(members.size, dtype=bool)
+    if filled is not None:
+        mine = filled.tells & (np.abs(filled.theta_in - dataset.theta_in[members].mean()) < SAME_INCIDENCE)
+        theta_out = np.append(theta_out, filled.theta_out[mine])
+        f, u = np.vstack([f, filled.brdf[mine]]), np.vstack([u, filled.u[mine]])
+        measured = np.append(measured, np.zeros(np.count_nonzero(mine), dtype=bool))
+    order = np.argsort(theta_out, kind="stable")
+    return _Nodes(theta_out[order], f[order], u[order], measured[order])
+
+
 def _reflectance(
-    theta_in: float, theta_out: FloatArray, mean: Averages, members: NDArray[np.intp]
+    theta_in: float, nodes: _Nodes, mean: Averages, members: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """rho and its standard uncertainty, each [bands], from the slice `members` in order of theta_out, degrees."""
-    f = mean.values[members]
-    f = np.maximum(f, _DARK * f.max(axis=0))
+    """rho and its standard uncertainty, each [bands], from the nodes of a slice; `members` are the measured ones."""
+    theta_out = nodes.theta_out
+    f = np.maximum(nodes.f, _DARK * nodes.f.max(axis=0))
     slice_ = _slice(theta_in, float(theta_out[0]), float(theta_out[-1]))
     at = np.clip(slice_.theta_out, theta_out[0], theta_out[-1])
     right = np.clip(np.searchsorted(theta_out, at), 1, theta_out.size - 1)
@@ -117,7 +164,11 @@ def _reflectance(
             np.add.at(share, right - 1, weights[:, None] * straight * (1 - part))
             np.add.at(share, right, weights[:, None] * straight * part)
     by_plane = np.hypot((rho[2] - rho[0]) / np.sqrt(12), _SHADOWING * np.sin(np.radians(theta_in)) ** 2 * rho[1])
-    return rho[1], np.sqrt(_by_sources(share / f, mean, members) + by_interpolation**2 + by_plane**2)
+    gain = share / f
+    by_filling = np.sum(np.abs(gain) * nodes.u, axis=0)
+    by_sources = np.sqrt(_by_sources(gain[nodes.measured], mean, members))
+    # what is filled comes from the measured points and shares their errors, so both may add up
+    return rho[1], np.sqrt((by_sources + by_filling) ** 2 + by_interpolation**2 + by_plane**2)
 
 
 def _by_sources(gain: FloatArray, mean: Averages, members: NDArray[np.intp]) -> FloatArray:

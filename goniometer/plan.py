@@ -35,6 +35,7 @@ from goniometer.plan_spec import (
 )
 from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, total
 from goniometer.route import ordered
+from goniometer.sector import beside
 from goniometer.sweep import Swept, searched, summits, unexplained
 
 __all__ = [
@@ -224,8 +225,11 @@ def _batch(
         return missing, None if missing or pending else "grid" if spec.mode == "uniform" else "step"
     hidden = _hidden(spec, known, measured, swept, pending)
     accurate = not hidden and bool(np.all(known.totals <= known.goals))
-    batch: list[Geometry] = []
-    if not (accurate and _confirmed(spec, measured)):
+    if accurate and _confirmed(spec, measured):
+        visited = [*(p.geometry for p in measured), *pending]
+        more = beside(known.process, spec.theta_in, spec.tolerance, visited)
+        batch = [g for g in more if spec.lowest <= g.theta_out <= spec.highest]
+    else:
         most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
         batch = (hidden + _peaks(spec, known, measured, [*pending, *hidden]))[: 2 * most]
         most = len(spec.theta_in) if accurate else max(most - len(batch), 0)

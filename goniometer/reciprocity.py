@@ -52,12 +52,32 @@ class Reciprocity(NamedTuple):
         return self.difference / self.u
 
 
+class Row(NamedTuple):
+    """The points of one incident angle."""
+
+    theta_in: float
+    """Their mean, degrees."""
+    points: NDArray[np.intp]
+    """Numbers in the dataset, those that are good for a ratio."""
+
+
+class Reverse(NamedTuple):
+    """What was measured of the reverse of a direction: ln(f cos(theta_in) cos(theta_out)) as a weighted sum."""
+
+    theta_in: float
+    """Incident angle of the reverse direction, degrees."""
+    points: NDArray[np.intp]
+    """[nodes] numbers in the dataset."""
+    weights: FloatArray
+    """[nodes]"""
+    u: float
+    """Standard uncertainty by interpolation, of the logarithm."""
+
+
 class _Pair(NamedTuple):
     point: int
-    nodes: NDArray[np.intp]
-    weights: FloatArray
+    reverse: Reverse
     difference: float
-    u_interpolation: float
 
 
 def reciprocity(dataset: Dataset) -> Reciprocity:
@@ -74,9 +94,9 @@ def reciprocity(dataset: Dataset) -> Reciprocity:
     pairs = list(_pairs(dataset, logarithm, clear).values())
     gain = np.zeros((len(pairs), f.size, 1))
     for row, pair in zip(gain, pairs, strict=True):
-        row[pair.nodes, 0] = -pair.weights / f[pair.nodes]
+        row[pair.reverse.points, 0] = -pair.reverse.weights / f[pair.reverse.points]
         row[pair.point, 0] = 1 / f[pair.point]  # another incident angle than that of the nodes
-    by_interpolation = np.array([pair.u_interpolation for pair in pairs])
+    by_interpolation = np.array([pair.reverse.u for pair in pairs])
     points = np.array([pair.point for pair in pairs], dtype=np.intp)
     return Reciprocity(
         dataset.theta_in[points],
@@ -86,38 +106,53 @@ def reciprocity(dataset: Dataset) -> Reciprocity:
     )
 
 
-def _pairs(dataset: Dataset, logarithm: FloatArray, clear: NDArray[np.bool_]) -> dict[tuple[int, int, bool], _Pair]:
-    """The best pair for each two incident angles (by number) and side: the one that needs least interpolation."""
+def rows_of(dataset: Dataset, good: NDArray[np.bool_]) -> list[Row]:
+    """Every incident angle with those of its points that are `good` [points]."""
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
-    rows = [np.flatnonzero((groups == g) & clear) for g in range(int(groups.max(initial=-1)) + 1)]
-    incident = np.array([dataset.theta_in[groups == g].mean() for g in range(len(rows))])
-    found: dict[tuple[int, int, bool], _Pair] = {}
-    for point in np.flatnonzero(clear):
-        theta_in, theta_out = float(dataset.theta_in[point]), float(dataset.theta_out[point])
-        other = int(np.argmin(np.abs(incident - abs(theta_out))))
-        mine = int(groups[point])
-        if other == mine or abs(incident[other] - abs(theta_out)) > NEAR:
-            continue  # the mirror direction and the way back to the lamp are their own reverse
-        forward = theta_out > 0
-        # theta_h of the reverse direction is that of this one with its sign changed forward, and the same backward
-        target = float(incident[other]) + (theta_in - theta_out if forward else theta_out - theta_in)
-        nodes = rows[other]
-        interpolated = _interpolate(dataset.theta_out[nodes], logarithm[nodes], target)
-        if interpolated is None:
-            continue
-        chosen, weights, u = interpolated
-        nodes = nodes[chosen]
-        # what (theta_in + theta_out) / 2 does: shadowing makes f cos cos fall at most as a cosine does
-        aside = np.radians(abs(incident[other] - abs(theta_out)))
-        u = float(np.hypot(u, aside * np.tan(np.radians(max(theta_in, abs(theta_out)))) / np.sqrt(3)))
-        pair = _Pair(int(point), nodes, weights, float(logarithm[point] - weights @ logarithm[nodes]), u)
-        key = (min(mine, other), max(mine, other), forward)
-        if key not in found or u < found[key].u_interpolation:
-            found[key] = pair
+    members = [groups == g for g in range(int(groups.max(initial=-1)) + 1)]
+    return [Row(float(dataset.theta_in[mine].mean()), np.flatnonzero(mine & good)) for mine in members]
+
+
+def reverse(
+    dataset: Dataset, rows: list[Row], logarithm: FloatArray, theta_in: float, theta_out: float
+) -> Reverse | None:
+    """The reverse of a direction, degrees, from points that were measured of another incident angle; None without any.
+
+    `logarithm` [points] is ln(f cos(theta_in) cos(theta_out)), by which the interpolation is judged.
+    """
+    other = min(rows, key=lambda row: abs(row.theta_in - abs(theta_out)))
+    if abs(other.theta_in - abs(theta_out)) > NEAR or abs(other.theta_in - theta_in) <= SAME_INCIDENCE:
+        return None  # the mirror direction and the way back to the lamp are their own reverse
+    # theta_h of the reverse direction is that of this one with its sign changed forward, and the same backward
+    target = other.theta_in + (theta_in - theta_out if theta_out > 0 else theta_out - theta_in)
+    found = _through_neighbours(dataset.theta_out[other.points], logarithm[other.points], target)
+    if found is None:
+        return None
+    chosen, weights, u = found
+    # what (theta_in + theta_out) / 2 does: shadowing makes f cos cos fall at most as a cosine does
+    aside = np.radians(abs(other.theta_in - abs(theta_out)))
+    u = float(np.hypot(u, aside * np.tan(np.radians(max(theta_in, abs(theta_out)))) / np.sqrt(3)))
+    return Reverse(other.theta_in, other.points[chosen], weights, u)
+
+
+def _pairs(dataset: Dataset, logarithm: FloatArray, clear: NDArray[np.bool_]) -> dict[tuple[float, float, bool], _Pair]:
+    """The best pair for each two incident angles and side: the one that needs least interpolation."""
+    rows = rows_of(dataset, clear)
+    found: dict[tuple[float, float, bool], _Pair] = {}
+    for row in rows:
+        for point in row.points.tolist():
+            theta_out = float(dataset.theta_out[point])
+            told = reverse(dataset, rows, logarithm, float(dataset.theta_in[point]), theta_out)
+            if told is None:
+                continue
+            pair = _Pair(point, told, float(logarithm[point] - told.weights @ logarithm[told.points]))
+            key = (min(row.theta_in, told.theta_in), max(row.theta_in, told.theta_in), theta_out > 0)
+            if key not in found or told.u < found[key].reverse.u:
+                found[key] = pair
     return found
 
 
-def _interpolate(x: FloatArray, y: FloatArray, at: float) -> tuple[NDArray[np.intp], FloatArray, float] | None:
+def _through_neighbours(x: FloatArray, y: FloatArray, at: float) -> tuple[NDArray[np.intp], FloatArray, float] | None:
     """Nodes and weights of Lagrange's polynomial through up to four neighbours, and its standard uncertainty.
 
     The uncertainty is half of what the parabolas through the first three and the last three nodes differ by there;

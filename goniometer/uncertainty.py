@@ -72,6 +72,24 @@ def variance(gain: FloatArray, sources: tuple[ErrorSource, ...]) -> FloatArray:
     return np.asarray(sum((np.sum(_effects(gain, source) ** 2, axis=(1, 2)) for source in sources), none))
 
 
+def variance_of_readings(weights: FloatArray, per_brdf: FloatArray, sources: tuple[ErrorSource, ...]) -> FloatArray:
+    """[readings, wavelengths] variance of what is read between points, wavelength by wavelength.
+
+    A reading is the sum over points, with `weights` [readings, points], of a function of the BRDF whose derivative is
+    `per_brdf` [points, wavelengths]. JCGM 100:2008, 5.2, for errors that points share.
+    """
+    found = np.zeros((weights.shape[0], per_brdf.shape[1]))
+    for source in sources:
+        effect = source.values * per_brdf
+        if source.groups is None:
+            found += weights**2 @ effect**2
+            continue
+        for group in np.unique(source.groups):
+            members = source.groups == group
+            found += (weights[:, members] @ effect[members]) ** 2
+    return found
+
+
 def _effects(gain: FloatArray, source: ErrorSource) -> FloatArray:
     """[parameters, groups, wavelengths] what each of the source's independent errors does to the parameters."""
     effect = gain * source.values

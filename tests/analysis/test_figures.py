@@ -10,11 +10,13 @@ import pytest
 
 from analysis import figures
 from analysis.analyse import analyse
+from analysis.filled_figure import STEP
 from analysis.noise import at_wavelength
 from analysis.notation import with_uncertainty
 from analysis.results import SampleAnalysis
 from analysis.svg import INK, hex_colour
 from goniometer.dataset import Dataset, Flag
+from goniometer.fill import fill, unmeasured
 from goniometer.uncertainty import ErrorSource
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -109,6 +111,19 @@ def test_flagged_neighbours_have_one_outline(rough_analysis: SampleAnalysis) -> 
     flagged = replace(dataset, flags=flags)
     svg = figures.colour_map(flagged, dataset.brdf, figures.exposure_of(dataset), "a", "Map", measured=True)
     assert svg.count('stroke-dasharray="2 2"') == 1
+
+
+def test_what_was_filled_says_so_in_map_and_curves_and_is_no_measured_cell(rough_analysis: SampleAnalysis) -> None:
+    dataset = rough_analysis.dataset
+    filled = fill(dataset, *unmeasured(dataset, STEP))
+    exposure = figures.exposure_of(dataset)
+    svg = figures.colour_map(dataset, dataset.brdf, exposure, "a", "Map", measured=True, filled=filled)
+    titles = [e.text or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}title")]
+    assert sum("not measured" in title for title in titles) == filled.tells.sum() > 0
+    assert sum("not measured" not in title for title in titles) == dataset.theta_in.size
+    curves = figures.distributions(dataset, "b", filled=filled)
+    assert "filled by interpolation, not measured" in curves
+    assert "not measured" not in figures.distributions(dataset, "c")
 
 
 def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(

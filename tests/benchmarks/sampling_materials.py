@@ -30,7 +30,9 @@ class Truth:
     w: float = 0.0
     """Its angular frequency."""
     retro: float = 0.0
-    """Height of a bump of 16 degrees around the way back into the lamp, 1/sr."""
+    """Height of a bump around the way back into the lamp, 1/sr."""
+    retro_width: float = 16.0
+    """theta_in + theta_out at which it has fallen to 1/e, degrees."""
 
     def __call__(self, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray = BANDS) -> FloatArray:
         """cos(theta_in) f as an aperture of 1 degree sees it, [points, wavelengths]; angles in degrees."""
@@ -39,7 +41,7 @@ class Truth:
         angle = 0.5 * (theta_out - theta_in)[:, None] + 0.5 * _APERTURE.along
         lobe = self.distribution(through.cos_m, angle) * g1(ci, self.alpha) * g1(co, self.alpha) / (4 * ci * co)
         lobe = np.where(through.cos_o > 0, lobe, 0.0) @ _APERTURE.weights
-        lobe = lobe + self.retro * np.exp(-(((theta_in + theta_out) / 16) ** 2))
+        lobe = lobe + self.retro * np.exp(-(((theta_in + theta_out) / self.retro_width) ** 2))
         centre = in_plane(theta_in, theta_out)
         spectral = fresnel_conductor(centre.cos_d[:, None], *load_conductor().index(wavelengths))
         spectral = spectral * shift(cosine_slope(theta_m(centre), self.h, self.w), wavelengths)

@@ -14,6 +14,7 @@ from goniometer.dataset import Check, Dataset, Flag
 from goniometer.energy import energy
 from goniometer.reciprocity import reciprocity
 from goniometer.uncertainty import ErrorSource, everywhere
+from simulators.materials import SAMPLES
 from tests.drawn_dataset import directions, drawn_dataset
 
 NAMES = ["reciprocity", "energy", "values", "drift", "saturation", "homogeneity", "noise floor", "footprint"]
@@ -120,6 +121,19 @@ def test_energy_of_facets_is_that_of_the_whole_hemisphere_within_its_uncertainty
     assert found.rho[0, 0] == pytest.approx(truth, rel=0.09)
 
 
+@pytest.mark.parametrize("alpha", [0.02, 0.1])
+def test_energy_at_normal_incidence_counts_the_lobe_that_the_detector_hides(alpha: float) -> None:
+    incident, theta_out = directions(alpha)
+    tilt, turn = np.radians(incident), np.radians(theta_out)
+    pairs = (np.stack([np.sin(a), 0 * a, np.cos(a)], axis=-1) for a in (-tilt, turn))
+    f = lobe(_from_vectors(*pairs), alpha)
+    own = ErrorSource("random", "random", np.repeat(1e-3 * f[:, None], 3, axis=1), None, False)
+    found = energy(of_values(incident, theta_out, f, (own,)))
+    assert found.theta_in[0] == 0
+    assert found.rho[0, 0] == pytest.approx(hemisphere(alpha, 0.0), abs=3 * found.u[0, 0])
+    assert found.u[0, 0] < 0.05
+
+
 @pytest.mark.parametrize("theta_in", [0.0, 30.0, 60.0, 80.0])
 def test_a_white_lambertian_surface_reflects_all_light_and_is_not_accused(theta_in: float) -> None:
     theta_out = np.array([o for o in np.arange(-85.0, 86, 10) if abs(o + theta_in) >= 5])
@@ -210,7 +224,8 @@ SPOT = (np.full(5, 40.0), np.array([-70.0, -10, 30, 40, 70]))
 def test_a_sample_that_is_the_same_everywhere_passes_at_another_spot(name: str) -> None:
     for seed in range(4):
         zeros = (0.01, -0.01)  # both scans have the same
-        dataset = drawn_dataset(name, seed=seed, zeros=zeros, reference_error=0.01)
+        around = directions(SAMPLES[name].alpha, (30, 40, 50))
+        dataset = drawn_dataset(name, seed=seed, zeros=zeros, reference_error=0.01, at=around)
         spot = drawn_dataset(name, seed=100 + seed, zeros=zeros, reference_error=0.01, spot=1, at=SPOT)
         assert asked(dataset, "homogeneity", spot=spot).passed, name
 
