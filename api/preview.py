@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 from analysis.budget_figure import side_by_side
 from analysis.plan_figure import arm_view, polar_view
-from api.display import duration
+from api.display import duration, span
 from goniometer.campaign import Campaign, Integration
-from goniometer.duration import EARLIER, Expected, expected
+from goniometer.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
+from goniometer.records import Expected
 from goniometer.route import Motion, travel
 
 
@@ -47,8 +48,10 @@ class Preview:
     """Wanted mean dE00 of the same."""
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
+    doubt: str
+    """What the time depends on that nobody knows before, as a sentence."""
     besides: tuple[str, ...]
-    """What is measured besides, as sentences; its time is not in that of the legs."""
+    """What is measured besides, as sentences; its time is in that of the legs, but for comparing spots."""
 
     def lines(self) -> list[str]:
         """The preview as sentences."""
@@ -57,9 +60,10 @@ class Preview:
             points = f"{leg.points}" if leg.points == leg.most_points else f"{leg.points} to about {leg.most_points}"
             told.append(
                 f"  {leg.name}: {points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
-                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, {duration(leg.time.low)} to "
-                f"{duration(leg.time.high)}, about {duration(leg.time.seconds)}"
+                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, about {span(leg.time)}"
             )
+        whole = sum((leg.time for leg in self.legs), start=Expected(0.0, 0.0, 0.0))
+        told.append(f"In all about {span(whole)}. {self.doubt}")
         colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
         told.append(
             f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
@@ -78,16 +82,20 @@ def drawing(campaign: Campaign, motion: Motion = ORDINARY) -> str:
     return side_by_side([polar_view(first, "polar"), arm_view(first, "arm")])
 
 
-def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
-    """Preview of `campaign` on a bench that moves like `motion`; touches no device."""
+def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DEAD_TIME) -> Preview:
+    """Preview of `campaign` on a bench that moves like `motion`; touches no device.
+
+    `dead_time` is that of a point, seconds.
+    """
     spec = plan_spec(campaign, motion)
     panel = reference_points(spec, campaign.reference.step)
-    reference = _leg("reference panel", panel, len(panel), spec, campaign.integration, campaign.reference.scans)
+    bright = campaign.integration.model_copy(update={"scans": campaign.reference.scans, "signal_to_noise": None})
+    reference = _leg("reference panel", panel, len(panel), campaign, spec, bright, dead_time, None)
     first = next_points(spec, [])
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
     samples = [
-        _leg(sample.name, first, most, spec, campaign.integration, campaign.integration.scans)
+        _leg(sample.name, first, most, campaign, spec, campaign.integration, dead_time, spec.most_seconds)
         for sample in campaign.samples
     ]
     return Preview(
@@ -98,19 +106,45 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
         spec.tolerance,
         spec.colour_tolerance,
         uniform_grid_size(spec),
+        _doubt(campaign, spec),
         _besides(campaign),
     )
 
 
-def _leg(name: str, path: list[Geometry], most: int, spec: PlanSpec, integration: Integration, scans: int) -> Leg:
-    """A scan of `path` and perhaps more points, which then take as long as those of `path` do."""
+def _leg(
+    name: str,
+    path: list[Geometry],
+    most: int,
+    campaign: Campaign,
+    spec: PlanSpec,
+    integration: Integration,
+    dead_time: float,
+    budget: float | None,
+) -> Leg:
+    """A scan of `path` and perhaps more points, which then take as long as those of `path` do.
+
+    All may take no longer than `budget`, seconds.
+    """
     way = travel(path, spec.motion)
-    alone = expected(path, spec.motion, integration, scans)
+    alone = expected(path, spec.motion, integration, dead_time=dead_time)
     longest = most / len(path)
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
-    if spec.most_seconds is not None:
-        time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
+    look = unknown_exposure(campaign.integration).seconds
+    darks, longest_time = unknown_darks(campaign), campaign.integration.maximum
+    time += besides(campaign, spec.motion, len(spec.theta_in), time, longest_time, look, darks)
+    if budget is not None:
+        time = Expected(*(min(each, budget) for each in (time.seconds, time.low, time.high)))
     return Leg(name, len(path), most, way.sample, way.detector, time)
+
+
+def _doubt(campaign: Campaign, spec: PlanSpec) -> str:
+    """How certain the times of a preview are."""
+    exposing = unknown_exposure(campaign.integration)
+    many = " and how many directions it needs" if spec.mode == "dynamic" else ""
+    return (
+        f"That depends on how bright each sample is ({exposing.low:g} s to {exposing.high:g} s of integration a "
+        f"point){many}; while it is measured, the time left is told from what its points take."
+    )
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 metadata = MetaData()
 
@@ -68,6 +68,10 @@ scans = Table(
     Column("constants", Text),
     Column("started", String),
     Column("finished", String),
+    Column("expected_points", Integer),
+    Column("remaining", Float),
+    Column("remaining_low", Float),
+    Column("remaining_high", Float),
     CheckConstraint("kind IN ('reference', 'sample', 'spot')"),
     CheckConstraint("phase IN ('idle', 'running', 'pausing', 'paused', 'aborting', 'finished')"),
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),

@@ -11,7 +11,7 @@ from goniometer.exposure import PROBE_FRACTION
 from goniometer.geometry import Geometry
 from goniometer.route import Motion, StageMotion, travel
 
-MOTION = Motion(StageMotion(10.0, 20.0), StageMotion(10.0, 20.0), 0.5)
+MOTION = Motion(StageMotion(10.0, 20.0, settling=0.5), StageMotion(10.0, 20.0, settling=0.5))
 PATH = [Geometry(10.0, float(x)) for x in range(0, 60, 10)]
 POLICY = Integration(minimum=0.1, maximum=10.0)
 

@@ -8,8 +8,8 @@ import pytest
 from goniometer.geometry import Geometry
 from goniometer.route import Motion, StageMotion, ordered, travel
 
-BENCH = Motion(StageMotion(20.0, 40.0, 0.0), StageMotion(30.0, 60.0, 0.0), 0.2)
-LOOSE = Motion(StageMotion(20.0, 40.0, 1.0), StageMotion(30.0, 60.0, 1.0), 0.2)
+BENCH = Motion(StageMotion(20.0, 40.0, 0.0, 0.2), StageMotion(30.0, 60.0, 0.0, 0.2))
+LOOSE = Motion(StageMotion(20.0, 40.0, 1.0, 0.2), StageMotion(30.0, 60.0, 1.0, 0.2))
 
 
 def best_of_all(points, motion, start, sample_move=1000.0):
@@ -57,7 +57,7 @@ def test_without_backlash_every_other_incident_angle_is_swept_backwards():
 
 def test_with_backlash_long_sweeps_go_upwards_and_no_target_is_left_from_above():
     points = [Geometry(t, float(x)) for t in (0.0, 10.0, 20.0) for x in range(-80, 81, 4)]
-    path = ordered(points, Motion(BENCH.sample, StageMotion(30.0, 60.0, 1.0), 0.2))
+    path = ordered(points, Motion(BENCH.sample, LOOSE.detector))
     assert all(b.theta_out > a.theta_out for a, b in pairwise(path) if a.theta_in == b.theta_in)
 
 
