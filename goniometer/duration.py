@@ -61,6 +61,10 @@ def visits(points: Sequence[Point], exposures: Sequence[ExposureTime], motion: M
     from where the arm came, as the first one of a session, and those that were tried more than once.
     """
     measured = {point.id: point for point in points if point.status == "done"}
+    integrated: dict[int, float] = {}
+    for exposure in exposures:
+        if exposure.point_id is not None:
+            integrated[exposure.point_id] = integrated.get(exposure.point_id, 0.0) + exposure.integration_time
     found: list[Visit] = []
     here: tuple[str, Geometry] | None = None  # session, and where the arm stood then
     way: list[Geometry] = []
@@ -73,7 +77,7 @@ def visits(points: Sequence[Point], exposures: Sequence[ExposureTime], motion: M
         elif i == 0 or exposures[i - 1].point_id != point.id:
             there = exposure.geometry or point.geometry
             if here is not None and here[0] == exposure.session and point.attempts == 1:
-                kept = sum(e.integration_time for e in exposures[i:] if e.point_id == point.id)
+                kept = integrated[point.id]
                 moving = sum(motion.seconds(a, b) for a, b in pairwise([here[1], *way, there]))
                 found.append(Visit(point.geometry, kept, point.seconds - kept - besides - moving))
             here, way, besides = (exposure.session, there), [], 0.0

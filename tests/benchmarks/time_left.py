@@ -55,7 +55,9 @@ def main() -> None:
         store = Store.open(Path(folder) / "bench.db")
         told, before = asyncio.run(watch(store))
         store.close()
-    print(f"{'scan':<12}{'true, s':>8}{'points':>8}   {'preview':<24}", *(f"after {part:.0%}".ljust(24) for part in PARTS))
+    print(
+        f"{'scan':<12}{'true, s':>8}{'points':>8}   {'preview':<24}", *(f"after {part:.0%}".ljust(24) for part in PARTS)
+    )
     for foreseen, name in zip(before, ("reference", *MATERIALS), strict=True):
         mine = [(moment, progress) for moment, progress in told if progress.sample == name]
         begin, end = mine[0][0], mine[-1][0]

@@ -76,6 +76,9 @@ def test_both_stages_move_at_once_and_the_arm_then_settles():
     slower = max(BENCH.sample.seconds(0, 10), BENCH.detector.seconds(20, 50))
     assert BENCH.seconds(a, b) == pytest.approx(slower + 0.2)
     assert BENCH.seconds(a, a) == 0.0
+    only = Motion(StageMotion(20.0, 40.0, settling=3.0), BENCH.detector)
+    assert only.seconds(a, Geometry(0.0, 25.0)) == pytest.approx(BENCH.detector.seconds(0, 5) + 0.2)
+    assert only.seconds(a, b) == pytest.approx(slower + 3.0)  # the arm rests when the last swing has died down
     assert travel([b], BENCH, a).detector == pytest.approx(30.0)
 
 
