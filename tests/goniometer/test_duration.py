@@ -57,7 +57,10 @@ def test_parts_that_are_long_for_one_reason_are_long_together():
 
 def test_looks_at_the_lamp_stray_light_and_darks_are_counted():
     campaign = Campaign(
-        name="A", samples=(Sample(name="A", material="mirror"),), monitor=Monitor(every=100.0), integration=Integration(maximum=4.0)
+        name="A",
+        samples=(Sample(name="A", material="mirror"),),
+        monitor=Monitor(every=100.0),
+        integration=Integration(maximum=4.0),
     )
     detour = 2 * MOTION.detector.seconds(0.0, 45.0) + 2 * 0.5
     told = besides(campaign, MOTION, 3, Expected(450.0, 0.0, 1000.0), 4.0, 2.0, Expected(10.0, 0.0, 100.0))
