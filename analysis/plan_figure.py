@@ -41,9 +41,10 @@ def polar_view(planned: Sequence[Geometry], name: str) -> str:
             xs, ys = zip(*(_at(radius, g.theta_out) for g in planned if g.theta_in == theta_in), strict=True)
             axes.scatter(xs, ys, s=7, facecolor=_PLANNED, edgecolor="none", zorder=3)
         for angle in range(-90, 91, 30):
-            axes.text(*_at(1.12, angle), f"{angle}°", ha="center", va="center")
+            axes.text(*_at(1.12, angle), f"{angle}°".replace("-", "−"), ha="center", va="center")
         shells = f"arcs: incident angles {angles[0]:g}° (inside) to {angles[-1]:g}° (outside)"
         marks = "▾ light, ‒ mirror direction, hatched: blocked"
+        axes.text(-1.2, 1.17, "theta_out around the normal", ha="left", va="top")
         axes.text(0, -0.04, f"{shells}\n{marks}", ha="center", va="top", linespacing=1.4)
         label = f"Polar view of {len(planned)} directions at {len(angles)} incident angles"
         return to_svg(figure, name, label)
@@ -54,14 +55,32 @@ def arm_view(path: Sequence[Geometry], name: str) -> str:
     detector = [g.detector_angle for g in path]
     sample = [g.sample_angle for g in path]
     with style():
-        figure, axes = new_axes(460, 240, bottom=38, top=12)
+        figure, axes = new_axes(460, 276, bottom=38, top=26)
         low, high = -BLOCKED_HALF_WIDTH, BLOCKED_HALF_WIDTH
         axes.axvspan(low, high, facecolor="none", edgecolor=INK, alpha=0.45, hatch="/////", linewidth=0.4)
         axes.plot(detector, sample, color=INK, linewidth=0.7, alpha=0.45)
         axes.scatter(detector, sample, s=9, color=_PLANNED, edgecolor="none", zorder=3)
         axes.plot(detector[:1], sample[:1], marker="o", markersize=7, markerfacecolor="none", color=_SOURCE)
+        axes.plot(detector[-1:], sample[-1:], marker="s", markersize=7, markerfacecolor="none", color=_SOURCE)
+        for text, stage in (("start", 0), ("end", -1)):
+            axes.annotate(
+                text,
+                (detector[stage], sample[stage]),
+                textcoords="offset points",
+                xytext=(7, 4),
+                color=_SOURCE,
+                fontsize=8.5,
+            )
+        blocked = f"blocked: detector in the beam, ±{BLOCKED_HALF_WIDTH:g}°"
         axes.annotate(
-            "start", (detector[0], sample[0]), textcoords="offset points", xytext=(7, 4), color=_SOURCE, fontsize=8.5
+            blocked,
+            (0, 1),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=8.5,
         )
         margin = 0.06 * max(max(sample) - min(sample), 10.0)
         axes.set(

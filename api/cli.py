@@ -21,7 +21,7 @@ from api.cli_quality import register as add_quality
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
-from api.display import duration, progress_display
+from api.display import duration, progress_display, span
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
@@ -30,6 +30,7 @@ from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign import load_campaign
+from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY
 from goniometer.records import Command
@@ -146,16 +147,15 @@ def _show(samples: list[SampleOutcome]) -> None:
 @app.command()
 def plan(
     campaign: CampaignFile,
-    instrument: Annotated[
-        Path | None, typer.Option(help="Instrument file (TOML), for the speed of its stages.")
-    ] = None,
+    instrument: Annotated[Path | None, typer.Option(help="Instrument file (TOML), for how its stages move.")] = None,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="Drawing to write, .svg.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
     wanted = load_campaign(campaign)
-    motion = ORDINARY if instrument is None else load_instrument(instrument).motion
-    found = preview(wanted, motion)
+    settings = None if instrument is None else load_instrument(instrument)
+    motion = ORDINARY if settings is None else settings.motion
+    found = preview(wanted, motion, DEAD_TIME if settings is None else settings.spectrometer.dead_time)
     written = None if path is None else write_text("svg", path, drawing(wanted, motion)).path
     if as_json:
         emit(asdict(found) | {"path": None if written is None else str(written)})
@@ -186,11 +186,14 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         return
     out = Console()
     names = store.campaigns()
-    for entry in found:
+    for scan, entry in zip(scans, found, strict=True):
         state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
         what = f"{entry['name']}, another spot" if entry["kind"] == "spot" else entry["name"]
-        line = f"{names[entry['campaign_id']]}: {what}: {state}, {entry['points_done']} points{datasets}"
+        count = f"{entry['points_done']} points"
+        if scan.remaining is not None:
+            count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
+        line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
 
 

@@ -9,6 +9,7 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
 from goniometer.progress import Progress
+from goniometer.records import Expected
 
 LOG_INTERVAL = 5.0
 """Seconds between two lines of progress in a log."""
@@ -31,6 +32,16 @@ def duration(seconds: float | None) -> str:
     if whole >= 60:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole} s"
+
+
+def span(time: Expected) -> str:
+    """A time with its limits; these are left out where all are the same.
+
+    >>> span(Expected(725.0, 600.0, 905.0)), span(Expected(50.0, 50.0, 50.0))
+    ('12 min 05 s (10 min 00 s to 15 min 05 s)', '50 s')
+    """
+    told, low, high = (duration(each) for each in (time.seconds, time.low, time.high))
+    return told if low == high else f"{told} ({low} to {high})"
 
 
 @contextmanager
@@ -90,10 +101,11 @@ def _lines(console: Console) -> Show:
 def _state(progress: Progress) -> str:
     """Time left, what it waits for, or how it ended."""
     if progress.phase == "finished":
-        return f"finished, {duration(progress.bench_elapsed)} on the bench"
+        dead = "" if progress.dead_time is None else f", {progress.dead_time:.2g} s of dead time a point"
+        return f"finished, {duration(progress.bench_elapsed)} on the bench{dead}"
     if progress.phase != "running":
         return progress.phase
     if progress.waiting is not None:
         left = "" if progress.waiting.left is None else f", {duration(progress.waiting.left)} left on the bench"
         return f"waiting: {progress.waiting.what}{left}"
-    return f"{duration(progress.remaining)} left ({duration(progress.bench_remaining)} on the bench)"
+    return f"{duration(progress.remaining)} left; on the bench {span(progress.bench_remaining)}"

@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 
 from analysis.budget_figure import side_by_side
 from analysis.plan_figure import arm_view, polar_view
-from api.display import duration
-from goniometer.campaign import Campaign, Integration, Prescan
+from api.display import duration, span
+from goniometer.campaign import Campaign, Integration
 from goniometer.conditions import Conditions
-from goniometer.duration import EARLIER, Expected, expected
+from goniometer.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
 from goniometer.prescan import cost
+from goniometer.records import Expected
 from goniometer.route import Motion, travel
 
 
@@ -51,8 +52,10 @@ class Preview:
     """Wanted mean dE00 of the same."""
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
+    doubt: str
+    """What the time depends on that nobody knows before, as a sentence."""
     besides: tuple[str, ...]
-    """What is measured besides, the time of which is not in that of the legs but for the pre-scan, and what must hold;
+    """What is measured besides, the time of which is in that of the legs but for comparing spots, and what must hold;
     as sentences."""
 
     def lines(self) -> list[str]:
@@ -63,9 +66,10 @@ class Preview:
             waiting = f", {duration(leg.waiting)} of it waiting" if leg.waiting else ""
             told.append(
                 f"  {leg.name}: {points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
-                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, {duration(leg.time.low)} to "
-                f"{duration(leg.time.high)}, about {duration(leg.time.seconds)}{waiting}"
+                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, about {span(leg.time)}{waiting}"
             )
+        whole = sum((leg.time for leg in self.legs), start=Expected(0.0, 0.0, 0.0))
+        told.append(f"In all about {span(whole)}. {self.doubt}")
         colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
         told.append(
             f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
@@ -84,18 +88,22 @@ def drawing(campaign: Campaign, motion: Motion = ORDINARY) -> str:
     return side_by_side([polar_view(first, "polar"), arm_view(first, "arm")])
 
 
-def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
-    """Preview of `campaign` on a bench that moves like `motion`; touches no device."""
+def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DEAD_TIME) -> Preview:
+    """Preview of `campaign` on a bench that moves like `motion`; touches no device.
+
+    `dead_time` is that of a point, seconds.
+    """
     spec = plan_spec(campaign, motion)
     panel = reference_points(spec, campaign.reference.step)
     policy = campaign.integration
+    bright = policy.model_copy(update={"scans": campaign.reference.scans, "signal_to_noise": None})
     first = next_points(spec, [])
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
     legs = [
-        _leg(name.replace("reference", "reference panel", 1), panel, len(panel), spec, policy, campaign.reference.scans)
+        _leg(name.replace("reference", "reference panel", 1), panel, len(panel), campaign, spec, bright, dead_time)
         if sample is None
-        else _delayed(_leg(name, first, most, spec, policy, policy.scans, campaign.prescan), sample.wait)
+        else _delayed(_leg(name, first, most, campaign, spec, policy, dead_time, is_sample=True), sample.wait)
         for name, sample in campaign.series
     ]
     conditions = campaign.conditions
@@ -110,6 +118,7 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY) -> Preview:
         spec.tolerance,
         spec.colour_tolerance,
         uniform_grid_size(spec),
+        _doubt(campaign, spec),
         _besides(campaign),
     )
 
@@ -118,22 +127,30 @@ def _leg(
     name: str,
     path: list[Geometry],
     most: int,
+    campaign: Campaign,
     spec: PlanSpec,
     integration: Integration,
-    scans: int,
-    prescan: Prescan | None = None,
+    dead_time: float,
+    *,
+    is_sample: bool = False,
 ) -> Leg:
-    """A scan of `path` and perhaps more points, which then take as long as those of `path` do; with its pre-scan."""
+    """A scan of `path` and perhaps more points, which then take as long as those of `path` do.
+
+    That of a sample has a pre-scan and a limit of time where these are asked for.
+    """
     way = travel(path, spec.motion)
-    alone = expected(path, spec.motion, integration, scans)
+    alone = expected(path, spec.motion, integration, dead_time=dead_time)
     longest = most / len(path)
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
+    look = unknown_exposure(campaign.integration).seconds
+    darks, longest_time = unknown_darks(campaign), campaign.integration.maximum
+    time += besides(campaign, spec.motion, len(spec.theta_in), time, longest_time, look, darks)
     sample, detector = way.sample, way.detector
-    if prescan is not None:
-        swept = cost(path, spec, prescan, spec.motion)
+    if is_sample and campaign.prescan is not None:
+        swept = cost(path, spec, campaign.prescan, spec.motion)
         time += Expected(swept.seconds, swept.seconds, swept.seconds)
         sample, detector = sample + swept.sample, detector + swept.detector
-    if spec.most_seconds is not None:
+    if is_sample and spec.most_seconds is not None:
         time = Expected(*(min(each, spec.most_seconds) for each in (time.seconds, time.low, time.high)))
     return Leg(name, len(path), most, sample, detector, time, 0.0)
 
@@ -141,6 +158,16 @@ def _leg(
 def _delayed(leg: Leg, seconds: float) -> Leg:
     """A scan that waits for `seconds` (more) before it measures."""
     return replace(leg, time=leg.time + Expected(seconds, seconds, seconds), waiting=leg.waiting + seconds)
+
+
+def _doubt(campaign: Campaign, spec: PlanSpec) -> str:
+    """How certain the times of a preview are."""
+    exposing = unknown_exposure(campaign.integration)
+    many = " and how many directions it needs" if spec.mode == "dynamic" else ""
+    return (
+        f"That depends on how bright each sample is ({exposing.low:g} s to {exposing.high:g} s of integration a "
+        f"point){many}; while it is measured, the time left is told from what its points take."
+    )
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:

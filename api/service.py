@@ -38,7 +38,7 @@ from goniometer.lineage import lacks_dataset, own_datasets
 from goniometer.plan import plan_spec, reference_points, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.response import STANDARD
-from goniometer.safety import Forbidden, check_plan
+from goniometer.safety import Forbidden, check_plan, grown, raised
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
@@ -160,6 +160,8 @@ async def open_instrument(
             bench.clock,
             data=site.settings.bench_data,
             forbidden=bench.forbidden,
+            backlash=site.settings.backlash,
+            settling=site.settings.settling,
         )
         for error in site.unplugged().values():
             raise error
@@ -338,9 +340,9 @@ def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> Non
     limits = SAMPLE_STAGE_LIMITS, DETECTOR_STAGE_LIMITS
     forbidden: tuple[Forbidden, ...] = ()
     if settings is not None:
-        stages = settings.stages
-        limits = stages.sample.limits or limits[0], stages.detector.limits or limits[1]
-        forbidden = tuple(each.region for each in settings.forbidden)
+        stages, backlash = settings.stages, settings.backlash
+        limits = raised((stages.sample.standing(limits[0]), stages.detector.standing(limits[1])), backlash)
+        forbidden = grown([each.region for each in settings.forbidden], backlash)
     check_plan(plan_spec(campaign), limits, forbidden)
 
 

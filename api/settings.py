@@ -24,6 +24,7 @@ from drivers.owis import OwisPS, ReferenceMode
 from drivers.smc100 import SMC100
 from drivers.stage import Mounting
 from goniometer.constants import BenchData
+from goniometer.duration import DEAD_TIME
 from goniometer.errors import ConfigurationError
 from goniometer.route import Motion, StageMotion
 from goniometer.safety import Forbidden
@@ -40,7 +41,8 @@ Range = Annotated[tuple[float, float], AfterValidator(_ascends)]
 """Lowest and highest angle, degrees."""
 SerialNumber = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
 Positive = Annotated[float, Field(gt=0)]
-Uncertainty = Annotated[float, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Uncertainty = NotNegative
 
 
 class _Strict(BaseModel):
@@ -61,6 +63,10 @@ class _Stage(_Strict):
     zero: float = Field(default=0.0, description="reading of the stage where the bench calls the angle 0, degrees")
     direction: Literal[1, -1] = Field(default=1, description="-1 where reading and angle grow in opposite directions")
     scale: Positive = Field(default=1.0, description="degrees that the stage reads per degree that it turns")
+    backlash: NotNegative = Field(
+        default=0.0, description="degrees by which a target is passed on the way down, to be approached upwards"
+    )
+    settling: NotNegative = Field(default=0.0, description="for which the arm swings after a move, seconds")
     timeout: Positive = Field(default=1.0, description="longest wait for a reply, seconds")
 
     @model_validator(mode="after")
@@ -75,6 +81,10 @@ class _Stage(_Strict):
     def mounting(self) -> Mounting:
         """How the stage sits on the bench."""
         return Mounting(self.zero, self.direction, self.scale)
+
+    def standing(self, needed: tuple[float, float]) -> tuple[float, float]:
+        """Where the stage may stand if it must go to all of `needed`: its limits, or just so far; degrees."""
+        return self.limits or (needed[0] - self.backlash, needed[1])
 
     @property
     def own_number(self) -> int | None:
@@ -212,6 +222,9 @@ class SpectrometerSettings(_Strict):
     temperature_tolerance: Positive = Field(
         default=0.5, description="by which the detector may be off, degrees Celsius"
     )
+    dead_time: NotNegative = Field(
+        default=DEAD_TIME, description="at each point for commands, shutter and read-out, seconds; for the preview only"
+    )
     timeout: Positive = Field(default=2.0, description="longest wait for a reply beyond the integration time, seconds")
 
 
@@ -251,11 +264,24 @@ class InstrumentSettings(_Strict):
         """How the stages move where the file says it; one that moves as its controller is configured is ordinary."""
         sample, detector = (
             StageMotion(
-                getattr(stage, "velocity", ORDINARY.velocity), getattr(stage, "acceleration", ORDINARY.acceleration)
+                getattr(stage, "velocity", ORDINARY.velocity),
+                getattr(stage, "acceleration", ORDINARY.acceleration),
+                stage.backlash,
+                stage.settling,
             )
             for stage in (self.stages.sample, self.stages.detector)
         )
         return Motion(sample, detector)
+
+    @property
+    def backlash(self) -> tuple[float, float]:
+        """Of the sample and of the detector stage, degrees."""
+        return self.stages.sample.backlash, self.stages.detector.backlash
+
+    @property
+    def settling(self) -> tuple[float, float]:
+        """Seconds for which the arm swings after a move of the sample and of the detector stage."""
+        return self.stages.sample.settling, self.stages.detector.settling
 
     @property
     def bench_data(self) -> BenchData:
@@ -286,14 +312,14 @@ def load_instrument(path: Path) -> InstrumentSettings:
 
 
 def make_stage(name: str, settings: Family, limits: tuple[float, float], clock: Clock) -> RotationStage:
-    """The driver that `settings` asks for, with `limits` where they name none; nothing is opened yet.
+    """The driver that `settings` asks for, which can go to all of `limits` where they name none; it is not yet open.
 
     A serial number is looked up by pyserial whenever the driver opens its port, so that a stage is found again when
     the hub has given it another one.
     """
     url = settings.url or rf"hwgrep://SER={re.escape(settings.serial_number or '')}(?!\S)"
     mounting, timeout = settings.mounting, settings.timeout
-    limits = settings.limits or limits
+    limits = settings.standing(limits)
     match settings:
         case SMC100Settings(address=address):
             return SMC100(name, url, clock, address=address, limits=limits, mounting=mounting, timeout=timeout)

@@ -33,6 +33,7 @@ SET_ENABLED = 0x0210
 SET_VELOCITY, REQUEST_VELOCITY, VELOCITY = 0x0413, 0x0414, 0x0415
 SET_HOMING, REQUEST_HOMING, HOMING = 0x0440, 0x0441, 0x0442
 HOME, HOMED = 0x0443, 0x0444
+SET_BACKLASH, REQUEST_BACKLASH, BACKLASH = 0x043A, 0x043B, 0x043C
 MOVE_TO, COMPLETED = 0x0453, 0x0464
 STOP, STOPPED = 0x0465, 0x0466
 REQUEST_STATUS, STATUS = 0x0480, 0x0481
@@ -45,6 +46,8 @@ VELOCITY_DATA = struct.Struct("<H3l")
 """Channel, initial velocity (always 0), acceleration, velocity."""
 HOMING_DATA = struct.Struct("<3H2l")
 """Channel, direction, limit switch, velocity, distance of the zero from the switch."""
+BACKLASH_DATA = struct.Struct("<Hl")
+"""Channel, distance by which a target is passed on the way back."""
 MOVE_DATA = struct.Struct("<Hl")
 """Channel, target."""
 STATUS_DATA = struct.Struct("<HlLL")
@@ -55,6 +58,7 @@ LENGTHS = {
     REFUSED: (REFUSED_DATA.size,),
     VELOCITY: (VELOCITY_DATA.size,),
     HOMING: (HOMING_DATA.size,),
+    BACKLASH: (BACKLASH_DATA.size,),
     HOMED: (0,),
     COMPLETED: (0, STATUS_DATA.size),
     STOPPED: (0, STATUS_DATA.size),
@@ -162,3 +166,20 @@ class HomingSetting:
     def data(self) -> bytes:
         """As data of `SET_HOMING`."""
         return HOMING_DATA.pack(CHANNEL, self.direction, self.switch, self.velocity, self.offset)
+
+
+@dataclass(frozen=True)
+class BacklashSetting:
+    """By how much a motor passes its target on the way back, in counts; 0 where it goes straight to it."""
+
+    distance: int
+
+    @classmethod
+    def read(cls, frame: bytes) -> "BacklashSetting":
+        """From a `BACKLASH` frame."""
+        _channel, distance = BACKLASH_DATA.unpack_from(frame, HEADER.size)
+        return cls(distance)
+
+    def data(self) -> bytes:
+        """As data of `SET_BACKLASH`."""
+        return BACKLASH_DATA.pack(CHANNEL, self.distance)

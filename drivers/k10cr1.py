@@ -9,8 +9,10 @@ A message has no checksum. So what is read counts only when it comes twice.
 Where the controller's units come from: a degree of the mount is 409600/3 microsteps; its velocity unit is a microstep
 per second divided by 53.68, that of the acceleration a microstep per second squared times 90.9 (Thorlabs' protocol,
 under "Conversion between position, velocity and acceleration values"). Unchecked on a device: that a fault is cleared
-by disabling and enabling the motor, and that the controller words a refusal as message 0x0081. Whether it has a
-distance set against backlash is left to it: it then passes the target by that much on its way backwards.
+by disabling and enabling the motor, and that the controller words a refusal as message 0x0081.
+
+The distance by which the controller passes a target on its way backwards, against backlash, is set to 0: who commands
+the stage knows where it may stand, and takes up the backlash of every family alike.
 """
 
 import logging
@@ -61,6 +63,7 @@ RELEVANT = MOVING | SEARCHING | REFERENCED | ENABLED | FAULTY
 STATUS = Query(apt.short(apt.REQUEST_STATUS, apt.CHANNEL), lambda frame: apt.number_of(frame) == apt.STATUS)
 INFO = Query(apt.short(apt.REQUEST_INFO), lambda frame: apt.number_of(frame) == apt.INFO)
 VELOCITY = Query(apt.short(apt.REQUEST_VELOCITY, apt.CHANNEL), lambda frame: apt.number_of(frame) == apt.VELOCITY)
+BACKLASH = Query(apt.short(apt.REQUEST_BACKLASH, apt.CHANNEL), lambda frame: apt.number_of(frame) == apt.BACKLASH)
 HOMING = Query(apt.short(apt.REQUEST_HOMING, apt.CHANNEL), lambda frame: apt.number_of(frame) == apt.HOMING)
 
 T = TypeVar("T")
@@ -116,7 +119,7 @@ class K10CR1(Stage):
                 )
             await self._port.send(apt.short(apt.STOP_UPDATES))
             await self._read_status()
-            await self._set_velocity(self.velocity * self._mounting.scale)
+            await self._prepare()
         except DeviceTimeout as error:
             await self.close()
             message = f"{self.name}: no K10CR1 answers at {self._url}; check its power, its cable and the address"
@@ -164,6 +167,11 @@ class K10CR1(Stage):
         )
         await self._set(apt.SET_VELOCITY, setting, VELOCITY)
 
+    async def _prepare(self) -> None:
+        """Set how fast it moves, and that it goes straight to its target."""
+        await self._set_velocity(self.velocity * self._mounting.scale)
+        await self._set(apt.SET_BACKLASH, apt.BacklashSetting(0), BACKLASH)
+
     async def _begin_homing(self) -> None:
         """Stop what is under way, clear a fault, and set a velocity at which the search comes to an end."""
         state = await self._read_state()
@@ -174,8 +182,7 @@ class K10CR1(Stage):
         if state.phase in {StagePhase.FAULT, StagePhase.DISABLED}:
             await self._port.send(apt.short(apt.SET_ENABLED, apt.CHANNEL, apt.DISABLE))
             await self._port.send(apt.short(apt.SET_ENABLED, apt.CHANNEL, apt.ENABLE))
-        # the mount may have been switched off since it was opened
-        await self._set_velocity(self.velocity * self._mounting.scale)
+        await self._prepare()  # the mount may have been switched off since it was opened
         setting = await self._read_twice(HOMING, apt.HomingSetting.read)
         setting = replace(setting, velocity=round(HOMING_VELOCITY * VELOCITY_UNITS))
         await self._set(apt.SET_HOMING, setting, HOMING)
@@ -196,7 +203,9 @@ class K10CR1(Stage):
             await self.stop()
             raise DeviceFault(f"{self.name}: had lost its reference when it began to move, and was stopped; home it")
 
-    async def _set(self, number: int, setting: apt.VelocitySetting | apt.HomingSetting, query: Query) -> None:
+    async def _set(
+        self, number: int, setting: apt.VelocitySetting | apt.HomingSetting | apt.BacklashSetting, query: Query
+    ) -> None:
         """Change a setting and read it back. Raises `DeviceRefused` when it has become another."""
         await self._tell(apt.long(number, setting.data()), query)
         kept = await self._read_twice(query, type(setting).read)

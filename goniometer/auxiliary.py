@@ -14,28 +14,24 @@ import numpy as np
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Campaign, Integration, Prescan
+from goniometer.duration import DARKS, STRAY_SCANS, besides
 from goniometer.errors import GeometryError
 from goniometer.exposure import DarkSignal, detector_of, ladder, step_down, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.moves import ARRIVAL
 from goniometer.plan import monitor_direction, plan_spec
-from goniometer.prescan import way
+from goniometer.prescan import cost, way
 from goniometer.raw import Dark, RawScan
+from goniometer.records import Expected
 from goniometer.safety import safe_path
 from goniometer.store import Store
 from goniometer.track import Passage
-
-DARKS = 4
-"""Dark spectra of each integration time and temperature."""
 
 DARK_TEMPERATURE = 0.3
 """Degrees Celsius of the detector within which a dark is reused. Dark current doubles every 6 degrees or so, thus
 changes by 3.5 %: of the 120 counts that it gives in 30 s at -10 degrees 4 counts, less than one read-out is uncertain.
 """
-
-STRAY_SCANS = 2
-"""Spectra of stray light at each incident angle."""
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -60,6 +56,10 @@ class Darks:
         sets = self._sets[integration_time]
         valid = (dark for dark in sets if abs(dark.temperature - temperature) <= DARK_TEMPERATURE)
         return next(valid, min(sets, key=lambda dark: abs(dark.temperature - temperature)))
+
+    def to_come(self, policy: Integration) -> Expected:
+        """Time for darks that a scan may still need, seconds: any of the times that it has not used yet, or none."""
+        return Expected(0.0, 0.0, DARKS * sum(time for time in ladder(policy) if not self._sets.get(time)))
 
     async def of(self, integration_time: float, temperature: float) -> DarkSignal:
         """The dark signal of this time, s, and temperature, degrees Celsius; taken and written where none is valid."""
@@ -100,6 +100,7 @@ class Auxiliary:
         self._prescan = campaign.prescan if store.scan(raw.scan_id).kind == "sample" else None
         self._swept = {sweep.shot.geometry.theta_in for sweep in raw.sweeps}
         self._settled = {shot.geometry.theta_in for shot in raw.stray}
+        self._stray_time = raw.stray[-1].integration_time if raw.stray else None
         self._monitor_time = raw.monitors[0].integration_time if raw.monitors else None
         self._looked: float | None = None  # when this run looked at the lamp, on the clock of the bench
 
@@ -117,6 +118,20 @@ class Auxiliary:
             await self._take_stray(point)
         if self._prescan is not None and not any(abs(point.theta_in - t) <= ARRIVAL for t in self._swept):
             await self._sweep(point, self._prescan)
+
+    def to_come(self, path: Sequence[Geometry], lasts: Expected) -> Expected:
+        """Time for what is due before the points of `path`, which last so long, and after them."""
+        campaign, policy = self._campaign, self._campaign.integration
+        angles = {p.theta_in for p in path if all(abs(p.theta_in - t) > ARRIVAL for t in self._settled)}
+        stray = policy.maximum if self._stray_time is None else self._stray_time
+        look = policy.maximum if self._monitor_time is None else self._monitor_time
+        motion = self._instrument.motion
+        time = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(policy))
+        if self._prescan is None:
+            return time
+        unseen = [p for p in path if all(abs(p.theta_in - t) > ARRIVAL for t in self._swept)]
+        sweeping = cost(unseen, self._spec, self._prescan, motion).seconds
+        return time + Expected(sweeping, sweeping, sweeping)
 
     async def closing(self) -> None:
         """Look at the lamp once more after the last point. Raises `DriverError`."""
@@ -159,6 +174,7 @@ class Auxiliary:
             moment = instrument.clock.now() - STRAY_SCANS * time / 2
             await self._has_dark(spectra)
             self._store.add_exposures(self._scan_id, "stray", spectra, instrument.session, moment, here)
+            self._stray_time = time
         self._settled.add(point.theta_in)
 
     async def _sweep(self, point: Geometry, prescan: Prescan) -> None:

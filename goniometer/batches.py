@@ -10,6 +10,7 @@ import numpy as np
 
 from goniometer.calibration import band_values, certificate_of
 from goniometer.campaign import Campaign
+from goniometer.duration import EARLIER, Foreseen
 from goniometer.geometry import Geometry
 from goniometer.plan import (
     Measured,
@@ -30,6 +31,10 @@ from goniometer.sweep import Swept
 
 TYPICAL_REFINEMENT = 1.4
 """Points of a sample over points of its coarse pass, before anything is known about it."""
+
+CONFIRMING = 3
+"""Batches, of one point for each incident angle, that confirm what is known after the coarse pass; on simulated
+materials it takes two to six (`tests/benchmarks/time_left.py`)."""
 
 _FINISHED = {"done", "failed", "skipped"}
 _WHY = {
@@ -56,9 +61,9 @@ class Batches:
     kept: dict[tuple[int, ...], list[Swept]] = field(default_factory=dict, compare=False)
     """What sweeps tell, by the ids of all exposures that say so: these never change, and it takes a while to find."""
 
-    def look(self, points: list[Point]) -> tuple[list[Geometry], int]:
+    def look(self, points: list[Point]) -> tuple[list[Geometry], Foreseen]:
         """What `next` gives, and how many points the scan will have, as far as that is known."""
-        return self.next(points), self._expected(points)
+        return self.next(points), self.foreseen(points)
 
     def next(self, points: list[Point]) -> list[Geometry]:
         """The next batch when `points` are finished; empty when the scan is complete.
@@ -81,20 +86,28 @@ class Batches:
         seen, _ = self._known(sample, self.store.points(sample.id))
         return spot_points(seen, self.campaign.homogeneity.points)
 
-    def _expected(self, points: list[Point]) -> int:
+    def foreseen(self, points: list[Point]) -> Foreseen:
         """How many points the scan will have: as its own plan foresees, or as its like before that is known."""
-        if self.scan.kind == "reference":
-            return len(reference_points(self.spec, self.campaign.reference.step))
-        if self.scan.kind == "spot":
-            return len(points)
+        if self.scan.kind != "sample" or self.spec.mode == "uniform":
+            count = len(points) or len(self.next(points))
+            return Foreseen(count, count, count)
         coarse = len(next_points(self.spec, []))
         finished = [p for p in points if p.status in _FINISHED]
         if len(finished) >= coarse:
-            return expected_total(self.spec, self._known(self.scan, finished)[0])
+            foreseen = expected_total(self.spec, self._known(self.scan, finished)[0])
+            # the plan does not foresee the batches that confirm what it believes, nor what they bring to light
+            batch = len(self.spec.theta_in)
+            total = max(foreseen + batch, coarse + CONFIRMING * batch)
+            high = total + CONFIRMING * batch + max(foreseen - len(points), 0)
+            limit = self.spec.most_points or high
+            return Foreseen(*(min(each, limit) for each in (total, len(points), high)))
+        most = max(round(EARLIER[1] * len(self.spec.theta_in)), coarse)
         others = [s for s in self.store.scans(self.scan.campaign_id) if s.kind == "sample" and s.outcome == "completed"]
-        if not others:
-            return round(TYPICAL_REFINEMENT * coarse)
-        return round(sum(len(self.store.points(s.id)) for s in others) / len(others))
+        typical = round(TYPICAL_REFINEMENT * coarse)
+        if others:
+            typical = round(sum(len(self.store.points(s.id)) for s in others) / len(others))
+        limit = self.spec.most_points or most
+        return Foreseen(*(min(each, limit) for each in (typical, coarse, most)))
 
     def accuracy(self) -> str:
         """What accuracy a sample's sampling has reached, and why it ended, as a sentence; empty for other scans."""

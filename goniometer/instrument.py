@@ -19,8 +19,8 @@ from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
 from goniometer.moves import ARRIVAL, both, faults_of, followed, home, not_ready, ready, settle
-from goniometer.route import Motion, StageMotion
-from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, safe_path
+from goniometer.route import Motion, StageMotion, approach
+from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, grown, raised, safe_path
 from goniometer.track import SWEEP_MARGIN, Passage, passages
 
 TEMPERATURE_DRIFT = 1.0
@@ -64,18 +64,24 @@ class Instrument:
         *,
         data: BenchData = NOMINAL,
         forbidden: tuple[Forbidden, ...] = (),
+        backlash: Standing = (0.0, 0.0),
+        settling: Standing = (0.0, 0.0),
     ) -> None:
+        """`backlash` (degrees) and `settling` (seconds after a move) are those of the sample and the detector stage."""
         self.clock = clock
         """The time in which the bench lives."""
         self.session = uuid.uuid4().hex
         """Names whose clock moments are read from: those of two sessions, as of two processes, cannot be compared."""
-        self.forbidden = forbidden
-        """Where the arm must never be."""
+        self.forbidden = grown(forbidden, backlash)
+        """Where the arm must never be sent, and through which it must not pass; with the room that backlash takes."""
         self._sample_stage = sample_stage
         self._detector_stage = detector_stage
         self._spectrometer = spectrometer
         self._light = light
         self._data = data
+        self._regions = forbidden
+        self._backlash = backlash
+        self._settling = settling
         # None where it is not known, as at the start and after anything went wrong.
         self._sample_target: float | None = None
         self._detector_target: float | None = None
@@ -95,14 +101,16 @@ class Instrument:
 
     @property
     def limits(self) -> Limits:
-        """Where the sample stage and the detector stage may stand, degrees."""
-        return self._sample_stage.limits, self._detector_stage.limits
+        """Where the sample stage and the detector stage may be sent, degrees."""
+        return raised((self._sample_stage.limits, self._detector_stage.limits), self._backlash)
 
     @property
     def motion(self) -> Motion:
         """How the stages move, as far as it is known once they are open."""
+        stages = self._sample_stage, self._detector_stage
         sample, detector = (
-            StageMotion(stage.velocity, stage.acceleration) for stage in (self._sample_stage, self._detector_stage)
+            StageMotion(stage.velocity, stage.acceleration, backlash, settling)
+            for stage, backlash, settling in zip(stages, self._backlash, self._settling, strict=True)
         )
         return Motion(sample, detector)
 
@@ -151,11 +159,11 @@ class Instrument:
         await self._detector_stage.open()
         await self._set_shutter(False)
         await self._switch_lamp_on()
-        if self.forbidden:
+        if self._regions:
             detector = await home(self._detector_stage)
             sample = await home(self._sample_stage)
             unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
-            check_standing((sample, detector), (unbounded, unbounded), self.forbidden)
+            check_standing((sample, detector), (unbounded, unbounded), self._regions)
         else:
             sample, detector = await both(home(self._sample_stage), home(self._detector_stage))
         self._marks = sample, detector
@@ -189,7 +197,8 @@ class Instrument:
     async def goto(self, geometry: Geometry) -> Geometry:
         """Move the stages, each only if it must, and return the geometry that they read back.
 
-        Both move at once where no forbidden region lies between, else one after the other. Raises `GeometryError`
+        Both move at once where no forbidden region lies between, else one after the other; one that has backlash
+        arrives upwards, and the arm has settled when this returns. Raises `GeometryError`
         before anything moves where the arm cannot go; `DeviceFault` where a stage is not ready, e.g. because it was
         switched off and on between two points, does not read what it read when it was left, or does not read back
         where it was sent; `ProtocolError` where it reads two different angles at rest.
@@ -209,14 +218,17 @@ class Instrument:
 
     async def _go(self, wanted: Standing) -> Geometry:
         """What `goto` does, once it is known that the arm may stand where it is wanted."""
-        targets = self._sample_target, self._detector_target
+        left = targets = self._sample_target, self._detector_target
         self._forget_targets()
         here = await both(ready(self._sample_stage), ready(self._detector_stage))
         self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
         self._check_left(targets, here)
-        for stop in safe_path(here, wanted, self.forbidden):
+        first = approach(here, wanted, targets, self._backlash)
+        stops = safe_path(here, first, self._regions)
+        for stop in [*stops, *([wanted] if first != wanted else [])]:
             # on the way only the stage moves whose turn it is; in the end each that was not sent there before
-            stays = [targets[axis] == wanted[axis] if stop == wanted else stop[axis] == here[axis] for axis in range(2)]
+            fixed = targets if stop in (first, wanted) else here
+            stays = [fixed[axis] == stop[axis] for axis in range(2)]
             self._whereabouts = {here, stop}
             reached = await both(
                 settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
@@ -228,6 +240,9 @@ class Instrument:
             )
             here = reached
         self._whereabouts = {here}
+        settling = [self._settling[axis] for axis in range(2) if left[axis] != wanted[axis]]
+        if any(settling):
+            await self.clock.sleep(max(settling))
         self._sample_target, self._detector_target = wanted
         return from_stages(*here)
 
@@ -286,7 +301,9 @@ class Instrument:
         if faults:
             raise faults[0]
         self._whereabouts = {(sample, track[-1][1])}
-        self._sample_target, self._detector_target = way[1]
+        # a stage with backlash that came from above does not stand where it is wanted
+        self._sample_target = theta_in
+        self._detector_target = None if end < begin and self._backlash[1] else end
         if len(spectra) != scans:
             raise ProtocolError(f"{spectrometer.name}: delivered {len(spectra)} spectra where {scans} were asked")
         checked = [await self._checked(spectrum, integration_time) for spectrum in spectra]
@@ -439,7 +456,7 @@ class Instrument:
             if state.phase is not StagePhase.READY or stage.name in self._astray:
                 mark = self._marks[axis]
                 homed = {(s, mark) if axis else (mark, d) for s, d in self._whereabouts}
-                check_sweep(self._whereabouts | homed, self.forbidden)
+                check_sweep(self._whereabouts | homed, self._regions)
                 self._whereabouts |= homed
                 await stage.home()
                 self._whereabouts = homed

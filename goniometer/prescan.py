@@ -92,7 +92,7 @@ def cost(path: Sequence[Geometry], spec: PlanSpec, prescan: Prescan, motion: Mot
             start, stop = way(spec, points[0])
             with_sweeps += [Geometry(theta_in, start), Geometry(theta_in, stop)]
             slow = travel_time(stop - start, prescan.velocity, motion.detector.acceleration)
-            seconds += slow - motion.seconds(*with_sweeps[-2:]) + motion.settling + SWEEP_MARGIN
+            seconds += slow - motion.seconds(*with_sweeps[-2:]) + motion.detector.settling + SWEEP_MARGIN
         with_sweeps += points
     bare, whole = travel(path, motion), travel(with_sweeps, motion)
     return Travel(

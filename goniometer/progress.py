@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from goniometer.geometry import Geometry
-from goniometer.records import Kind, Phase
+from goniometer.records import Expected, Kind, Phase
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,14 @@ class Progress:
     """Points that there will be, as far as the plan can tell: it grows or shrinks while the plan learns."""
     bench_elapsed: float
     """Seconds of bench time spent on finished points, in all runs of this scan."""
-    bench_remaining: float | None
-    """Seconds of bench time to go; None until a point is done."""
+    bench_remaining: Expected
+    """Bench time to go."""
     elapsed: float
     """Seconds of real time since this run of the scan began; once it measures, since it began to."""
     remaining: float | None
     """Seconds of real time to go; None until this run has done a point."""
+    dead_time: float | None
+    """Seconds at a point beyond moves and integration, as measured; None until a few points are done."""
     waiting: Waiting | None = None
     """None while it measures."""
 

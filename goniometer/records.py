@@ -31,6 +31,19 @@ Status = Literal["pending", "running", "done", "failed", "skipped"]
 
 
 @dataclass(frozen=True)
+class Expected:
+    """A time in seconds and between which limits it lies."""
+
+    seconds: float
+    low: float
+    high: float
+
+    def __add__(self, other: "Expected") -> "Expected":
+        """Of two parts that are long or short for the same reason, such as a dark sample."""
+        return Expected(self.seconds + other.seconds, self.low + other.low, self.high + other.high)
+
+
+@dataclass(frozen=True)
 class Scan:
     """One thing measured from end to end."""
 
@@ -52,6 +65,11 @@ class Scan:
     finished: str | None
     repeat: int | None = None
     """Which measurement of its sample in the campaign this is, counted from 1; None where there is only one."""
+    expected_points: int | None = None
+    """Points that there will be in the end, as was foreseen when its last point began; None before, and once it is
+    complete."""
+    remaining: Expected | None = None
+    """Time at the bench that it needed then; None before, and once it is complete."""
 
     @property
     def name(self) -> str:
@@ -108,6 +126,18 @@ class Exposure:
 
 
 @dataclass(frozen=True)
+class ExposureTime:
+    """When and where a spectrum was integrated, and for how long; see `Exposure`."""
+
+    id: int
+    kind: ExposureKind
+    point_id: int | None
+    geometry: Geometry | None
+    session: str
+    integration_time: float
+
+
+@dataclass(frozen=True)
 class StoredText:
     """A fit or an export of a dataset."""
 
@@ -138,7 +168,10 @@ def now() -> str:
 
 def to_scan(row: Row[Any]) -> Scan:
     """A row of `tables.scans` with its `repeat`."""
-    return Scan(**{field.name: getattr(row, field.name) for field in fields(Scan)})
+    values = {field.name: getattr(row, field.name) for field in fields(Scan)}
+    if row.remaining is not None:
+        values["remaining"] = Expected(row.remaining, row.remaining_low, row.remaining_high)
+    return Scan(**values)
 
 
 def to_point(row: Row[Any]) -> Point:

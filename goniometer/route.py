@@ -28,9 +28,11 @@ class StageMotion:
     """Of the ramps up and down, degrees/s^2."""
     backlash: float = 0.0
     """Degrees by which a target is passed on the way down, to be approached upwards; 0 where the stage needs none."""
+    settling: float = 0.0
+    """Seconds that the arm swings after a move of this stage."""
 
     def seconds(self, start: float, end: float) -> float:
-        """From rest at `start` to rest at `end`, degrees, approached upwards."""
+        """From rest at `start` to rest at `end`, degrees, approached upwards; without settling."""
         if end >= start or self.backlash == 0:
             return travel_time(end - start, self.velocity, self.acceleration)
         there = travel_time(start - end + self.backlash, self.velocity, self.acceleration)
@@ -47,15 +49,34 @@ class Motion:
 
     sample: StageMotion = StageMotion()
     detector: StageMotion = StageMotion()
-    settling: float = 0.2
-    """Seconds that the arm swings after a move."""
 
     def seconds(self, start: Geometry, end: Geometry) -> float:
         """From one direction to another, until the arm rests; both stages move at once."""
-        if start == end:
-            return 0.0
-        sample = self.sample.seconds(start.sample_angle, end.sample_angle)
-        return max(sample, self.detector.seconds(start.detector_angle, end.detector_angle)) + self.settling
+        legs = (
+            (self.sample, start.sample_angle, end.sample_angle),
+            (self.detector, start.detector_angle, end.detector_angle),
+        )
+        moving = max(stage.seconds(here, there) for stage, here, there in legs)
+        return moving + max((stage.settling for stage, here, there in legs if here != there), default=0.0)
+
+
+def approach(
+    here: tuple[float, float],
+    wanted: tuple[float, float],
+    targets: tuple[float | None, float | None],
+    backlash: tuple[float, float],
+) -> tuple[float, float]:
+    """Where sample and detector stage stop first, on their way from `here` to `wanted`, to arrive upwards; degrees.
+
+    A stage that is above its target, or nearer to it than its `backlash` while nobody knows from which side it came
+    (its last target is None), stops below by its backlash. One whose target stays as it was, stays.
+    """
+    first = list(wanted)
+    for axis, slack in enumerate(backlash):
+        is_loose = here[axis] > wanted[axis] or (targets[axis] is None and here[axis] > wanted[axis] - slack)
+        if targets[axis] != wanted[axis] and is_loose:
+            first[axis] -= slack
+    return first[0], first[1]
 
 
 @dataclass(frozen=True)

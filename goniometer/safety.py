@@ -93,6 +93,23 @@ def safe_path(start: Standing, end: Standing, forbidden: Sequence[Forbidden]) ->
     )
 
 
+def raised(limits: Limits, backlash: Standing) -> Limits:
+    """Where stages may be sent that pass a target on the way down by `backlash` degrees, to approach it upwards."""
+    (sample_low, sample_high), (detector_low, detector_high) = limits
+    return (sample_low + backlash[0], sample_high), (detector_low + backlash[1], detector_high)
+
+
+def grown(forbidden: Sequence[Forbidden], backlash: Standing) -> tuple[Forbidden, ...]:
+    """Where such stages must not be sent, and between which they must not go, so that they stay out of `forbidden`."""
+    return tuple(
+        Forbidden(
+            sample=(region.sample[0], region.sample[1] + backlash[0]),
+            detector=(region.detector[0], region.detector[1] + backlash[1]),
+        )
+        for region in forbidden
+    )
+
+
 def check_sweep(standings: Collection[Standing], forbidden: Sequence[Forbidden]) -> None:
     """Raise `GeometryError` unless all of the rectangle that `standings` span is free.
 

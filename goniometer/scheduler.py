@@ -39,7 +39,9 @@ from drivers.errors import DriverError
 from goniometer.auxiliary import Auxiliary, Darks
 from goniometer.batches import batches
 from goniometer.campaign import Campaign
+from goniometer.duration import Foreseen
 from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
+from goniometer.estimate import Estimate
 from goniometer.exposure import Brightness, Detector, brightness, check_limits, detector_of, predict, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
@@ -170,18 +172,20 @@ class _Run:
         self.batches = batches(
             store, scan, self.campaign, plan_spec(self.campaign, instrument.motion, instrument.u_angle)
         )
-        self.ahead: tuple[list[Geometry], int] | None = None
-        self.foreseen = 0
+        self.ahead: tuple[list[Geometry], Foreseen] | None = None
+        self.foreseen: Foreseen | None = None
         self.policy = self.campaign.integration
         if scan.kind == "reference":  # its points serve all others and are bright: none is cut short
             changes = {"scans": self.campaign.reference.scans, "signal_to_noise": None}
             self.policy = self.policy.model_copy(update=changes)
+        budget = self.campaign.resolution.time if scan.kind == "sample" else None
+        self.estimate = Estimate(store, scan.id, instrument.motion, self.policy, budget)
         # Repeats stored exposures, so that choosing an exposure does not read them all again.
         self.seen: dict[float, list[tuple[float, Brightness]]] = {}
         self.began = time.monotonic()
         self.waiting: Waiting | None = None
-        self.done = self.done_before = self.failed = self.expected = 0
-        self.bench_seconds = 0.0
+        self.done = self.failed = 0
+        self.bench_seconds = self.bench_seconds_before = 0.0
 
     async def measure(self) -> None:
         """Measure until the plan has no more points."""
@@ -196,11 +200,12 @@ class _Run:
         self.began = time.monotonic()  # what was waited for tells nothing about the time that points take
         failures = 0
         while batch := self._pending():
-            for point in batch:
+            for left, point in zip(reversed(range(len(batch))), batch, strict=True):
                 await self._obey()
                 failure = await (self._attempt(point) if point is not batch[-1] else self._attempt_last(point))
                 self.done += 1
                 self.failed += failure is not None
+                self.estimate.update(left, self.done, self.auxiliary)
                 failures = failures + 1 if failure else 0
                 if failure and failures >= FAILURES_IN_A_ROW:
                     raise failure
@@ -252,9 +257,8 @@ class _Run:
 
     def tell(self, phase: Phase, geometry: Geometry | None = None) -> None:
         """Report a snapshot."""
-        remaining = max(self.expected - self.done, 0)
-        here = self.done - self.done_before
         elapsed = time.monotonic() - self.began
+        here, left = self.bench_seconds - self.bench_seconds_before, self.estimate.remaining
         self.report(
             Progress(
                 self.scan.id,
@@ -264,11 +268,12 @@ class _Run:
                 geometry,
                 self.done,
                 self.failed,
-                self.expected,
+                self.estimate.total.points,
                 self.bench_seconds,
-                remaining * self.bench_seconds / self.done if self.done else None,
+                left,
                 elapsed,
-                remaining * elapsed / here if here else None,
+                left.seconds * elapsed / here if here else None,
+                self.estimate.dead_time,
                 self.waiting,
             )
         )
@@ -281,9 +286,9 @@ class _Run:
             dark = self.darks.stored(shot.integration_time, shot.temperature)
             self._remember(geometry, brightness(shot.counts, shot.integration_time, dark, self.detector))
         points = self.store.points(self.scan.id)
-        self.done = self.done_before = sum(p.status in {"done", "failed", "skipped"} for p in points)
+        self.done = sum(p.status in {"done", "failed", "skipped"} for p in points)
         self.failed = sum(p.status in {"failed", "skipped"} for p in points)
-        self.bench_seconds = sum(p.seconds for p in points)
+        self.bench_seconds = self.bench_seconds_before = sum(p.seconds for p in points)
 
     def _pending(self) -> list[Point]:
         """Points to measure now: what is left of a batch, or the plan's next one; empty when the scan is complete."""
@@ -295,7 +300,9 @@ class _Run:
                 self.store.add_points(self.scan.id, batch)
             pending = [p for p in self.store.points(self.scan.id) if p.status == "pending"]
         self.ahead = None
-        self.expected = max(self.foreseen, self.done + len(pending)) if pending else self.done
+        if self.foreseen is None:  # a run that goes on in the middle of a batch
+            self.foreseen = self.batches.foreseen(points)
+        self.estimate.begin([p.geometry for p in pending], self.foreseen, self.done, self.auxiliary)
         return pending
 
     async def _attempt_last(self, point: Point) -> DriverError | GeometryError | None:
@@ -359,7 +366,7 @@ class _Run:
         """
 
         async def attempt() -> None:
-            self.store.start_point(point.id)
+            self.store.start_point(point.id, self.estimate.total.points, self.estimate.remaining)
             await self._measure_point(point)
 
         geometry = point.geometry

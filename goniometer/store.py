@@ -23,8 +23,10 @@ from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry, from_stages
 from goniometer.records import (
     Command,
+    Expected,
     Exposure,
     ExposureKind,
+    ExposureTime,
     Outcome,
     Phase,
     Point,
@@ -39,6 +41,7 @@ from goniometer.records import (
 )
 from goniometer.track import Passage
 
+_REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 
 
@@ -164,6 +167,7 @@ class Store(Derived):
 
     def finish_scan(self, scan_id: int, outcome: Outcome, reason: str = "") -> None:
         """Note how a scan ended; a point that was being measured then is pending again."""
+        nothing = dict.fromkeys(("expected_points", *_REMAINING)) if outcome == "completed" else {}
         with self._writing() as connection:
             connection.execute(
                 update(tables.points)
@@ -173,7 +177,7 @@ class Store(Derived):
             connection.execute(
                 update(tables.scans)
                 .where(tables.scans.c.id == scan_id)
-                .values(phase="finished", outcome=outcome, reason=reason, command=None, finished=now())
+                .values(phase="finished", outcome=outcome, reason=reason, command=None, finished=now(), **nothing)
             )
 
     def end_stale_scans(self) -> None:
@@ -283,9 +287,21 @@ class Store(Derived):
         query = select(tables.points).where(tables.points.c.scan_id == scan_id).order_by(tables.points.c.number)
         return [to_point(row) for row in self._all(query)]
 
-    def start_point(self, point_id: int) -> None:
-        """Note that a point is being measured, and that this is one more attempt."""
-        self._update(tables.points, point_id, status="running", attempts=tables.points.c.attempts + 1)
+    def start_point(self, point_id: int, expected_points: int | None = None, remaining: Expected | None = None) -> None:
+        """Note that a point is being measured, that this is one more attempt, and what is foreseen of its scan."""
+        left = None if remaining is None else (remaining.seconds, remaining.low, remaining.high)
+        with self._writing() as connection:
+            connection.execute(
+                update(tables.points)
+                .where(tables.points.c.id == point_id)
+                .values(status="running", attempts=tables.points.c.attempts + 1)
+            )
+            scan = select(tables.points.c.scan_id).where(tables.points.c.id == point_id).scalar_subquery()
+            connection.execute(
+                update(tables.scans)
+                .where(tables.scans.c.id == scan)
+                .values(expected_points=expected_points, **dict(zip(_REMAINING, left or (None,) * 3, strict=True)))
+            )
 
     def finish_point(
         self,
@@ -385,3 +401,25 @@ class Store(Derived):
         """All raw exposures of a scan, darks included, in the order in which they were written."""
         query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
         return [to_exposure(row) for row in self._all(query)]
+
+    def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:
+        """When, where and for how long all raw exposures of a scan were taken whose id is greater than `after`."""
+        here = tables.exposures.c
+        query = (
+            select(
+                here.id, here.kind, here.point_id, here.theta_in, here.theta_out, here.session, here.integration_time
+            )
+            .where(here.scan_id == scan_id, here.id > after)
+            .order_by(here.id)
+        )
+        return [
+            ExposureTime(
+                row.id,
+                row.kind,
+                row.point_id,
+                None if row.theta_in is None else Geometry(row.theta_in, row.theta_out),
+                row.session,
+                row.integration_time,
+            )
+            for row in self._all(query)
+        ]

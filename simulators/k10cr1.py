@@ -14,6 +14,8 @@ SWITCH = -4.0
 """Degrees at which the switch stands by which it finds its zero."""
 SLOW_HOMING = apt.HomingSetting(direction=2, switch=1, velocity=73291, offset=round(-SWITCH * COUNTS_PER_DEGREE))
 """How it searches when nobody has set anything: at a hundredth of a degree per second."""
+OWN_BACKLASH = apt.BacklashSetting(round(COUNTS_PER_DEGREE))
+"""By how much it passes its target on the way back when nobody has set anything."""
 MOVING_EITHER_WAY = 0x30
 """Status bits that it sets both, whichever way it goes."""
 CONNECTED = 0x100
@@ -26,6 +28,7 @@ COMMANDS = {
     apt.SET_ENABLED: 0,
     apt.SET_VELOCITY: apt.VELOCITY_DATA.size,
     apt.SET_HOMING: apt.HOMING_DATA.size,
+    apt.SET_BACKLASH: apt.BACKLASH_DATA.size,
     apt.HOME: 0,
     apt.MOVE_TO: apt.MOVE_DATA.size,
 }
@@ -56,6 +59,8 @@ class SimulatedK10CR1(ByteServer):
         self._zero = self._axis.position()
         self._speed = self._stored_speed
         self._homing_setting = SLOW_HOMING
+        self._backlash = OWN_BACKLASH
+        self._beyond: float | None = None
         self._enabled = True
         self._referenced = False
         self._searching = False
@@ -92,6 +97,7 @@ class SimulatedK10CR1(ByteServer):
             apt.REQUEST_STATUS: self._status,
             apt.REQUEST_VELOCITY: lambda: _long(apt.VELOCITY, self._speed.data()),
             apt.REQUEST_HOMING: lambda: _long(apt.HOMING, self._homing_setting.data()),
+            apt.REQUEST_BACKLASH: lambda: _long(apt.BACKLASH, self._backlash.data()),
             REQUEST_ENABLED: lambda: _short(TELL_ENABLED, apt.ENABLE if self._enabled else apt.DISABLE),
             REQUEST_POSITION: lambda: _long(TELL_POSITION, struct.pack("<Hl", apt.CHANNEL, self._counts())),
             REQUEST_BITS: lambda: _long(TELL_BITS, struct.pack("<HL", apt.CHANNEL, self._bits())),
@@ -100,6 +106,7 @@ class SimulatedK10CR1(ByteServer):
             apt.SET_ENABLED: self._enable,
             apt.SET_VELOCITY: self._set_velocity,
             apt.SET_HOMING: self._set_homing,
+            apt.SET_BACKLASH: self._set_backlash,
             apt.HOME: self._home,
             apt.MOVE_TO: self._move,
             apt.STOP: self._stop,
@@ -123,7 +130,7 @@ class SimulatedK10CR1(ByteServer):
     def jam(self) -> None:
         """Stop with a motion error until it is disabled and enabled, or switched off and on."""
         self._axis.stop()
-        self._searching = False
+        self._searching, self._beyond = False, None
         self._due = None
         self._error = MOTION_ERROR
 
@@ -137,6 +144,9 @@ class SimulatedK10CR1(ByteServer):
 
     def _look(self) -> None:
         """Notice what has ended since the last time."""
+        if self._beyond is not None and not self._axis.moving():
+            target, self._beyond = self._beyond, None
+            self._axis.move(target)
         if self._searching and not self._axis.moving():
             if self._axis.position() != 0.0:
                 self._axis.home()  # it has found the switch, and goes from there to its zero
@@ -182,7 +192,7 @@ class SimulatedK10CR1(ByteServer):
         self._enabled = request[3] == apt.ENABLE
         if not self._enabled:
             self._axis.stop()
-            self._searching = False
+            self._searching, self._beyond = False, None
             self._error = 0
 
     def _set_velocity(self, request: bytes) -> None:
@@ -198,10 +208,13 @@ class SimulatedK10CR1(ByteServer):
         if asked.velocity > 0:
             self._homing_setting = asked
 
+    def _set_backlash(self, request: bytes) -> None:
+        self._backlash = apt.BacklashSetting.read(request)
+
     def _home(self, request: bytes) -> None:
         if self._ready_to_move(self._homing_setting.velocity):
             self._referenced = False
-            self._searching = True
+            self._searching, self._beyond = True, None
             self._axis.move(max(SWITCH, self._axis.limits[0]))
 
     def _move(self, request: bytes) -> None:
@@ -209,9 +222,12 @@ class SimulatedK10CR1(ByteServer):
         target = counts / COUNTS_PER_DEGREE + self._zero
         if not self._ready_to_move(self._speed.velocity):
             return
-        self._searching = False
-        if self._axis.limits[0] <= target <= self._axis.limits[1]:
-            self._axis.move(target)
+        self._searching, self._beyond = False, None
+        first = target
+        if target < self._axis.position() and self._backlash.distance:
+            first, self._beyond = target - self._backlash.distance / COUNTS_PER_DEGREE, target
+        if self._axis.limits[0] <= first <= self._axis.limits[1]:
+            self._axis.move(first)
             self._due = apt.COMPLETED
         else:
             self.jam()  # something stands in the way there
@@ -219,7 +235,7 @@ class SimulatedK10CR1(ByteServer):
     def _stop(self, request: bytes) -> None:
         if self._axis.moving():
             self._axis.stop()
-            self._searching = False
+            self._searching, self._beyond = False, None
             self._due = apt.STOPPED
 
     def _ready_to_move(self, velocity: int) -> bool:

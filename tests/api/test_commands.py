@@ -111,6 +111,27 @@ def test_the_preview_names_points_travel_and_blocked_range(cli: Any, small: Smal
     assert told["blocked"] == {"20.0": [-25.0, -15.0], "60.0": [-65.0, -55.0]}
     assert told["uniform_1_degree_points"] == 2 * (171 - 9)
     assert "theta_in 20°: theta_out -25° to -15°" in cli("plan", "small.yaml", cwd=small[0]).stdout
+    for leg in told["legs"]:  # every point may take from 8 ms to 30 s, or twice that of the reference
+        time, scans = leg["time"], 2 if leg["name"] == "reference panel" else 1
+        assert time["low"] < time["seconds"] < time["high"]
+        assert time["high"] > scans * 30.0 * leg["points"]
+
+
+def test_the_preview_tells_the_time_of_the_bench_that_the_file_states(cli: Any, small: Small, tmp_path: Path) -> None:
+    def legs(options: str) -> list[dict[str, Any]]:
+        (tmp_path / "bench.toml").write_text(
+            f'[stages.sample]\ndriver = "smc100"\nurl = "COM1"\n'
+            f'[stages.detector]\ndriver = "smc100"\nurl = "COM2"\n{options}'
+        )
+        told = cli("plan", "small.yaml", "--json", "--instrument", tmp_path / "bench.toml", cwd=small[0])
+        return list(json.loads(told.stdout)["legs"])
+
+    slow = legs("settling = 4.0\n[spectrometer]\ndead_time = 2.5\n")
+    for before, after in zip(legs(""), slow, strict=True):
+        # each point 2.5 s instead of 0.5 s, each move 4 s more; two incident angles have stray light besides
+        moves = after["points"] - 1 + 2 * 2
+        gained = after["time"]["low"] - before["time"]["low"]
+        assert gained == pytest.approx(2.0 * after["points"] + 4.0 * moves)
 
 
 def test_a_sample_that_cannot_be_fitted_does_not_cost_the_others_their_fits(cli: Any, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import signal
 import sqlite3
 import subprocess
@@ -145,4 +146,5 @@ def test_a_killed_run_is_called_interrupted(cli: Any, folder: Path) -> None:
         process.wait()
     told = cli("status", cwd=folder).stdout
     assert "Long: reference: interrupted" in told
+    assert re.search(r"of about 162 points, \d.* \(\d.* to \d.*\) to go", " ".join(told.split()))
     assert cli("pause", cwd=folder).returncode == 2

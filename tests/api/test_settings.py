@@ -216,3 +216,17 @@ def test_every_figure_of_the_bench_in_the_file_reaches_calibration_and_is_left_a
     for table, names in tables.items():
         text += f"[{table}]\n" + "".join(f"{name} = {values[name]}\n" for name in names)
     assert loaded(tmp_path, text).bench_data == BenchData(**values)
+
+
+def test_backlash_and_settling_reach_the_plan_and_leave_room_below_what_is_measured(tmp_path: Path) -> None:
+    text = BENCH.replace("[stages.detector]", "backlash = 0.5\nsettling = 0.25\n[stages.detector]\nbacklash = 2.0")
+    settings = loaded(tmp_path, text + "[spectrometer]\ndead_time = 1.5\n")
+    motion = settings.motion
+    assert (motion.sample.backlash, motion.sample.settling) == (0.5, 0.25)
+    assert (motion.detector.backlash, motion.detector.velocity) == (2.0, 30.0)
+    assert settings.spectrometer.dead_time == 1.5
+    assert make_stage("detector", settings.stages.detector, (-85.0, 170.0), WallClock()).limits == (-87.0, 170.0)
+    limited = loaded(tmp_path, text + "limits = [-85.0, 170.0]\n")
+    assert make_stage("detector", limited.stages.detector, (-85.0, 170.0), WallClock()).limits == (-85.0, 170.0)
+    with pytest.raises(ConfigurationError, match="backlash"):
+        loaded(tmp_path, text.replace("2.0", "-2.0"))

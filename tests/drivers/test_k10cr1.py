@@ -39,6 +39,20 @@ def test_homing_ends_although_the_mount_woke_up_with_a_velocity_of_hours(bench: 
     bench.run(scenario, homed=False)
 
 
+def test_it_goes_straight_to_its_target_because_backlash_is_taken_up_elsewhere(bench: Bench[K10CR1]) -> None:
+    async def scenario(stage: K10CR1) -> None:
+        for restarted in (False, True):
+            if restarted:
+                bench.simulator.restart()
+                await stage.home()
+            await stage.move_to(20.0)
+            begin = bench.clock.now()
+            assert await stage.move_to(10.0) == pytest.approx(10.0, abs=STEP)
+            assert bench.clock.now() - begin == pytest.approx(2.0, abs=0.1)  # 2 sqrt(10 / 10), and no way back
+
+    bench.run(scenario)
+
+
 def test_homing_twice_searches_the_mark_twice(bench: Bench[K10CR1]) -> None:
     async def scenario(stage: K10CR1) -> None:
         bench.simulator.drift(0.5)  # steps lost, and not known
@@ -53,8 +67,8 @@ def test_homing_twice_searches_the_mark_twice(bench: Bench[K10CR1]) -> None:
 def test_homing_that_never_began_is_not_taken_for_done(bench: Bench[K10CR1]) -> None:
     async def scenario(stage: K10CR1) -> None:
         await stage.move_to(20.0)
-        # 1-2 status, 3-4 velocity with its query, 5-6 velocity, 7-8 homing, 9-12 set and read back
-        bench.befall("at 13 lose-request")
+        # 1-2 status; velocity, backlash: 3-6, 7-10 set and read back; 11-12 homing, 13-16 set and read back
+        bench.befall("at 17 lose-request")
         with pytest.raises(DeviceTimeout, match="did not begin"):
             await stage.home()
         assert bench.axis.position() == pytest.approx(20.0, abs=STEP)

@@ -8,8 +8,8 @@ import pytest
 from goniometer.geometry import Geometry
 from goniometer.route import Motion, StageMotion, ordered, travel
 
-BENCH = Motion(StageMotion(20.0, 40.0, 0.0), StageMotion(30.0, 60.0, 0.0), 0.2)
-LOOSE = Motion(StageMotion(20.0, 40.0, 1.0), StageMotion(30.0, 60.0, 1.0), 0.2)
+BENCH = Motion(StageMotion(20.0, 40.0, 0.0, 0.2), StageMotion(30.0, 60.0, 0.0, 0.2))
+LOOSE = Motion(StageMotion(20.0, 40.0, 1.0, 0.2), StageMotion(30.0, 60.0, 1.0, 0.2))
 
 
 def best_of_all(points, motion, start, sample_move=1000.0):
@@ -57,7 +57,7 @@ def test_without_backlash_every_other_incident_angle_is_swept_backwards():
 
 def test_with_backlash_long_sweeps_go_upwards_and_no_target_is_left_from_above():
     points = [Geometry(t, float(x)) for t in (0.0, 10.0, 20.0) for x in range(-80, 81, 4)]
-    path = ordered(points, Motion(BENCH.sample, StageMotion(30.0, 60.0, 1.0), 0.2))
+    path = ordered(points, Motion(BENCH.sample, LOOSE.detector))
     assert all(b.theta_out > a.theta_out for a, b in pairwise(path) if a.theta_in == b.theta_in)
 
 
@@ -76,6 +76,9 @@ def test_both_stages_move_at_once_and_the_arm_then_settles():
     slower = max(BENCH.sample.seconds(0, 10), BENCH.detector.seconds(20, 50))
     assert BENCH.seconds(a, b) == pytest.approx(slower + 0.2)
     assert BENCH.seconds(a, a) == 0.0
+    only = Motion(StageMotion(20.0, 40.0, settling=3.0), BENCH.detector)
+    assert only.seconds(a, Geometry(0.0, 25.0)) == pytest.approx(BENCH.detector.seconds(0, 5) + 0.2)
+    assert only.seconds(a, b) == pytest.approx(slower + 3.0)  # the arm rests when the last swing has died down
     assert travel([b], BENCH, a).detector == pytest.approx(30.0)
 
 

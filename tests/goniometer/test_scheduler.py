@@ -23,6 +23,7 @@ from goniometer.campaign import Campaign, Integration, Resolution, Sample
 from goniometer.constants import BenchData
 from goniometer.errors import CampaignError, GeometryError, NotInStore, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.raw import read_raw
+from goniometer.records import Expected
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.materials import material, true_brdf
@@ -107,11 +108,15 @@ def test_progress_counts_up_to_what_was_expected(undisturbed):
         assert mine[-1].phase == "finished"
         assert mine[-1].done == mine[-1].expected
         assert mine[-1].fraction == 1
-        assert mine[-1].bench_remaining == 0
+        assert mine[-1].bench_remaining == Expected(0.0, 0.0, 0.0)
         assert all(a.done <= b.done for a, b in pairwise(mine))
         if kind == "reference":  # how many points a sample will have is a guess until its coarse pass is done
             halfway = mine[len(mine) // 2]
-            assert halfway.bench_remaining == pytest.approx(mine[-1].bench_elapsed - halfway.bench_elapsed, rel=0.6)
+            left = mine[-1].bench_elapsed - halfway.bench_elapsed
+            assert halfway.bench_remaining.seconds == pytest.approx(left, rel=0.1)
+            assert halfway.bench_remaining.low <= 1.1 * left
+            assert halfway.bench_remaining.high >= 0.9 * left
+            assert 0 < halfway.dead_time < 1.0
         else:
             assert mine[0].expected == pytest.approx(mine[-1].done, rel=0.3)
 

@@ -104,6 +104,23 @@ def test_another_program_homes_moves_and_is_told_when_it_is_done(client: Client,
     assert completed.homed
 
 
+def test_on_the_way_back_it_passes_its_target_unless_it_is_told_not_to(client: Client, clock: SimulatedClock) -> None:
+    home(client, clock)
+    query = thorlabs.mot_req_genmoveparams(MOUNT, PC, CHANNEL), "mot_get_genmoveparams"
+    for distance in (client.ask(*query).backlash_distance, 0):
+        client.send(thorlabs.mot_set_genmoveparams(MOUNT, PC, CHANNEL, distance))
+        assert client.ask(*query).backlash_distance == distance
+        client.send(thorlabs.mot_move_absolute(MOUNT, PC, CHANNEL, round(20 * COUNTS_PER_DEGREE)))
+        clock.advance_to(clock.now() + 10)
+        client.send(thorlabs.mot_move_absolute(MOUNT, PC, CHANNEL, round(10 * COUNTS_PER_DEGREE)))
+        lowest = 20 * COUNTS_PER_DEGREE
+        for _ in range(60):
+            lowest = min(lowest, client.status().position)
+            clock.advance_to(clock.now() + 0.1)
+        assert lowest == pytest.approx(10 * COUNTS_PER_DEGREE - distance, abs=600)
+        assert client.status().position == pytest.approx(10 * COUNTS_PER_DEGREE, abs=1)
+
+
 def test_another_program_stops_it_on_its_way(client: Client, clock: SimulatedClock) -> None:
     home(client, clock)
     client.send(thorlabs.mot_move_absolute(MOUNT, PC, CHANNEL, round(80 * COUNTS_PER_DEGREE)))
