@@ -8,6 +8,7 @@ from analysis.analyse import analyse
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
 from analysis.notation import roughly, with_uncertainty
+from analysis.report import IMPORTED
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
@@ -88,8 +89,9 @@ def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Pat
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     """Write the HTML report of a dataset to `path` or the present folder."""
     dataset = store.dataset(dataset_id)
-    scan = store.scan(store.datasets()[dataset_id])
+    scan_id = store.datasets()[dataset_id]
+    facts = IMPORTED if scan_id is None else run_facts(store, store.scan(scan_id))
     target = path or Path(f"{slug(dataset.sample)}.html")
-    export = write_analysis_report(target, analyse(dataset, load_conductor()), run_facts(store, scan))
+    export = write_analysis_report(target, analyse(dataset, load_conductor()), facts)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export
