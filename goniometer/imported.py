@@ -21,6 +21,9 @@ from goniometer.measured_table import MeasuredTable
 from goniometer.scatter import FEWEST_WAVELENGTHS, scatter
 from goniometer.uncertainty import ErrorSource, combined, everywhere
 
+ROUNDING = 1e-12
+"""Scatter, as a part of a value, below which it tells of arithmetic and not of a measurement."""
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -80,7 +83,7 @@ def _noise(table: MeasuredTable, stated: Stated) -> FloatArray:
     if stated.relative_noise is not None:
         return np.where(valid, stated.relative_noise * np.abs(table.brdf), 0.0)
     found = scatter(table.wavelengths, table.brdf)
-    if not (found[valid] > 0).all():
+    if not (found[valid] > ROUNDING * np.abs(table.brdf[valid])).all():
         raise InputError(
             f"The noise of the spectra cannot be seen in their scatter, which needs {FEWEST_WAVELENGTHS} wavelengths "
             f"and values that are not rounded or computed; state it with --relative-noise."

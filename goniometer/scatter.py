@@ -41,7 +41,6 @@ def _of_complete(x: FloatArray, y: FloatArray) -> FloatArray:
     )
     parabola = weights[0] * y[:, :-3] + weights[1] * y[:, 2:-1] + weights[2] * y[:, 3:]
     square = (y[:, 1:-2] - parabola) ** 2 / (1 + (weights**2).sum(axis=0))
-    square = np.concatenate([square[:, :1], square, square[:, -1:], square[:, -1:]], axis=1)
-    size = min(WINDOW, x.size)
-    # the running sums of the filter may round a zero to less
-    return np.sqrt(np.maximum(uniform_filter1d(square, size, axis=1, mode="nearest"), 0.0))
+    mean = uniform_filter1d(square, min(WINDOW, square.shape[1]), axis=1, mode="reflect")
+    # the running sums of the filter may round a zero to less; the ends have no comparison of their own
+    return np.asarray(np.pad(np.sqrt(np.maximum(mean, 0.0)), ((0, 0), (1, 2)), mode="edge"))
