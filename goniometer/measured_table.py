@@ -20,6 +20,9 @@ LARGEST_FILE = 100_000_000
 SHORTEST, LONGEST = 100.0, 20_000.0
 """Wavelengths between which a BRDF may be meant, nm."""
 
+DIGITS = 9
+"""Decimals of an angle in degrees that are kept."""
+
 _FAR = 20.0
 """Incident angle, degrees, from which on mirror direction and way back are told apart."""
 
@@ -131,8 +134,9 @@ def tidied(path: str, table: MeasuredTable, lowest: float, highest: float) -> tu
             "sample is taken as isotropic."
         )
     side = np.where(turned, -1.0, 1.0)
-    # adding zero takes the sign off a negative one
-    table = replace(table, theta_in=side * table.theta_in + 0.0, theta_out=side * table.theta_out + 0.0)
+    # what radians leave of a right angle is none, and adding zero takes the sign off a negative one
+    theta_in, theta_out = (np.round(side * angle, DIGITS) + 0.0 for angle in (table.theta_in, table.theta_out))
+    table = replace(table, theta_in=theta_in, theta_out=theta_out)
     table, repeated = _without_copies(table.take(np.lexsort((table.theta_out, table.theta_in))))
     if repeated:
         notes.append(

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner, Result
 
-from api.cli_import import register
-from api.cli_quality import register as register_quality
+from api.cli import app
 from api.products import export_dataset, fit_dataset, report_dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
@@ -21,9 +19,6 @@ STATED = ("--relative-uncertainty", 0.01, "--aperture", 1, "--angle-uncertainty"
 
 
 def invoke(*arguments: object) -> Result:
-    app = typer.Typer()
-    register(app)
-    register_quality(app)
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -55,6 +50,7 @@ def test_imported_data_are_fitted_checked_and_reported_like_measured_ones(file: 
     assert "as dataset 1, their sample: " in told
     assert "at 4 incident angles, 40 wavelengths from 390 to 780 nm" in told
     store = Store.open(database)
+    assert "imported: their sample: their sample.json, dataset 1" in invoke("status", "-d", database).stdout
     lineage = store.lineage(1)
     assert lineage["imported"] == "their sample.json"
     assert lineage["imported_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()

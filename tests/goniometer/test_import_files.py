@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from goniometer import measured_table
 from goniometer.certificate import NOMINAL_SRS99
@@ -240,6 +242,40 @@ def test_an_uncertain_angle_is_worth_the_slope_of_the_brdf():
 def test_spectra_without_scatter_ask_for_their_noise():
     with pytest.raises(InputError, match="--relative-noise"):
         imported_dataset("A", table_of(np.full((5, 20), 0.3)), Stated(0.01, None, 1.0, 0.0), {})
+
+
+WAVELENGTHS = np.linspace(400, 700, 12)
+SPECTRUM = np.random.default_rng(5).uniform(0.2, 0.3, 12).round(4).tolist()
+GOOD = [
+    published(*(point(t, 0, 10 * t, 180, SPECTRUM) for t in range(9)), wavelengths=WAVELENGTHS.tolist()),
+    f"theta_in,theta_out,{','.join(map(str, WAVELENGTHS))}\n"
+    + "".join(f"{t},{-t},{','.join(map(str, SPECTRUM))}\n" for t in range(9)),
+    LONG,
+    GERMAN,
+]
+JUNK = ["", "0", "-", ",", "\t", "\n", "nan", "inf", "null", '"', "[", "}", "1e999", "1e-320", "\0", "é", "9" * 400]
+damages = st.lists(st.tuples(st.integers(0, 3000), st.integers(0, 40), st.sampled_from(JUNK)), max_size=4)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.sampled_from(GOOD), damages)
+def test_a_damaged_file_is_read_or_refused_in_one_line(text, damage):
+    for place, length, junk in damage:
+        start = place % len(text)
+        text = (text[:start] + junk + text[start + length :]) or " "
+    try:
+        if text.lstrip()[:1] in {"[", "{"}:
+            table, _ = read(text)
+        else:
+            table, _ = tidied("a.json", read_delimited("a.json", text, PLAIN), *ALL)
+        dataset = imported_dataset("A", table, Stated(0.01, 0.01, 1.0, 0.01), {})
+    except DataFileError as error:
+        message = str(error)
+    else:
+        assert np.isfinite(dataset.u[np.isfinite(dataset.brdf)]).all()
+        return
+    assert message.startswith("a.json")
+    assert message.isprintable()
 
 
 # Raw text
