@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.imports import Request, import_file
+from api.imports import Request, imported_file
 from api.quality import quality, quality_lines
 from goniometer.dataset import Dataset
 from goniometer.delimited import Quantity
@@ -83,9 +83,9 @@ def import_command(
         dark_subtracted=dark_subtracted,
         saturation=saturation,
     )
+    dataset = imported_file(asked)  # before a database is made for nothing
     store = Store.open(database)
-    made = import_file(store, asked)
-    dataset = store.dataset(made)
+    made = store.add_dataset(None, dataset)
     found = quality(store, made) | {"lineage": dataset.lineage}
     if as_json:
         emit(found)

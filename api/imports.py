@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Literal
 
 from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.dataset import Dataset
 from goniometer.delimited import Meaning, Quantity, read_delimited
 from goniometer.errors import InputError
 from goniometer.imported import Stated, imported_dataset
 from goniometer.measured_table import MeasuredTable, read_text, tidied
 from goniometer.published_json import read_published_json
 from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
-from goniometer.store import Store
 
 FileFormat = Literal["published JSON", "raw text", "table"]
 
@@ -43,8 +43,8 @@ _OF_TABLE = ("quantity", "angles", "wavelengths")
 _OF_RAW = ("reference", "certificate", "darks", "dark_subtracted", "saturation")
 
 
-def import_file(store: Store, asked: Request) -> int:
-    """Read a file, write it as a dataset beside the measured ones, and return the id of the dataset.
+def imported_file(asked: Request) -> Dataset:
+    """The dataset that a file becomes; it belongs into a database as one of no scan.
 
     Raises `InputError`, of which `DataFileError` and `CertificateError` are two, with one sentence: what cannot be
     meant, or which options are missing.
@@ -69,7 +69,7 @@ def import_file(store: Store, asked: Request) -> int:
     assert asked.angle_uncertainty is not None
     stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
     lineage |= more | {"notes": [*notes, *tidying]}
-    return store.add_dataset(None, imported_dataset(asked.sample, table, stated, lineage))
+    return imported_dataset(asked.sample, table, stated, lineage)
 
 
 def file_format(text: str) -> FileFormat:
