@@ -170,13 +170,14 @@ def colorchecker_patch(number: int) -> Surface:
     """A patch, 1 to 24, that has its measured radiance factor at 45:0; raises `KeyError` for another number.
 
     The spectra are the average of 30 charts by BabelColor as `colour-science` ships them, 380 to 730 nm; beyond, they
-    are held constant, which is invented. Roughness, refractive index and shift are ours, the same for all patches.
+    are held constant, which is invented. Roughness, refractive index and shift are ours, the same for all
+    patches; the shift is weaker than that of metals, as the paper says it is.
     """
     import colour  # noqa: PLC0415  (takes seconds)
 
     spectrum = dict(enumerate(colour.SDS_COLOURCHECKERS["BabelColor Average"].values(), start=1))[number]
     wavelengths = np.asarray(spectrum.wavelengths, dtype=float)
-    bare = Surface(f"colorchecker-{number}", 0.20, 1.5, -1.5, 0.004, 1.5)
+    bare = Surface(f"colorchecker-{number}", 0.20, 0.5, -0.5, 0.004, 1.5)
     here = np.array([45.0]), np.array([0.0])
     no_metal = np.ones_like(wavelengths), np.zeros_like(wavelengths)
     of_surface = np.pi * surface_brdf(bare, *here, wavelengths, no_metal, round_aperture(0.0, rings=1, spokes=1))[0]
