@@ -101,7 +101,7 @@ def print_trend(metals: dict[str, Row], patches: dict[str, Row]) -> None:
     margins = "; ".join(
         f"{name[-1]}: {gain[name]:.2f} (paper {PAPER[name][0] - PAPER[name][1]:.2f})" for name in metals
     )
-    print(f"Gain in dE00 from the roughest sample to the mirror, which falls in the paper but for noise: {margins}")
+    print(f"Gain in dE00 from the roughest sample to the mirror, which the paper says falls: {margins}")
 
 
 def print_local(analyses: dict[str, SampleAnalysis]) -> None:
