@@ -23,13 +23,13 @@ from goniometer.geometry import BLOCKED_HALF_WIDTH
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What a report says about the run, besides its data."""
+    """What a report says about the run, besides its data; None is what nobody knows of imported data."""
 
-    uniform_points: int
+    uniform_points: int | None
     """Points that a scan at every degree of theta_out would have had."""
-    bench_time: float
+    bench_time: float | None
     """Seconds from the first move to the last exposure."""
-    blocked_points: int
+    blocked_points: int | None
     """Directions of a 1 degree grid in which the detector would block the source; a plan never asks for them."""
     failed_points: int
     """Directions that could not be measured."""
@@ -39,6 +39,10 @@ class RunFacts:
     """Path relative to the report, and what the file holds."""
     bsdf: BsdfReport | None = None
     """How well the rendering file stands for the model."""
+
+
+IMPORTED = RunFacts(None, None, None, failed_points=0, too_noisy="", files=())
+"""Of data that were measured elsewhere."""
 
 
 def write_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> None:
@@ -81,8 +85,8 @@ def _opening(analysis: SampleAnalysis, facts: RunFacts) -> str:
     points = dataset.theta_in.size
     tiles = [
         ("spectra measured", f"{points}"),
-        ("a 1° grid would need", f"{facts.uniform_points}"),
-        ("bench time of this sample", _duration(facts.bench_time)),
+        *([] if facts.uniform_points is None else [("a 1° grid would need", f"{facts.uniform_points}")]),
+        *([] if facts.bench_time is None else [("bench time of this sample", _duration(facts.bench_time))]),
         ("wavelengths", f"{dataset.wavelengths[0]:.0f} to {dataset.wavelengths[-1]:.0f} nm"),
         ("aperture", f"{dataset.aperture:g}°" if dataset.aperture else "corrected for"),
     ]
@@ -122,9 +126,11 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
     dataset, local = analysis.dataset, analysis.local
     flagged, unreliable = int(np.sum(~dataset.usable)), int(np.sum(dataset.usable & ~local.reliable))
     items = [
-        f"Directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp ({facts.blocked_points} of a 1° grid): "
-        "the detector would stand in the beam. They are in no fit and no file; pictures show what can be filled there, "
-        "hatched or dashed.",
+        "Directions that the file does not hold: it was measured elsewhere."
+        if facts.blocked_points is None
+        else f"Directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp ({facts.blocked_points} of a 1° "
+        "grid): the detector would stand in the beam. They are in no fit and no file; pictures show what can be filled "
+        "there, hatched or dashed.",
         f"{facts.failed_points} directions could not be measured." if facts.failed_points else "",
         f"{flagged} spectra are flagged and take no part in the fits; the chapter on quality says which and why."
         if flagged

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from analysis.fit_json import strict_json
-from api.datasets import find_datasets
+from api.datasets import dataset_names, find_datasets
 from api.terminal import screen
 from goniometer.errors import InputError
 from goniometer.store import Store
@@ -23,8 +23,8 @@ def chosen_dataset(store: Store, name: str) -> int:
     *others, newest = find_datasets(store, name)
     if others:
         known = f"{', '.join(map(str, others))} and {newest}"
-        scan = store.scan(store.datasets()[newest])
-        meant = scan.name if name.lower() == scan.name.lower() else scan.sample
+        sample, own = dataset_names(store)[newest]
+        meant = own if name.lower() == own.lower() else sample
         told = f"{meant} has datasets {known}; taking {newest}, name a number"
         screen.print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)
     return newest

@@ -17,6 +17,7 @@ from rich.console import Console
 from analysis.errors import AnalysisError
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
+from api.cli_import import register as add_import
 from api.cli_quality import register as add_quality
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
@@ -181,8 +182,11 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
         entry["datasets"] = list(store.datasets(entry["id"]))
+    imported = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
+    samples = store.dataset_samples()
     if as_json:
-        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found})
+        told = [{"dataset": i, "sample": samples[i], "file": store.lineage(i)["imported"]} for i in imported]
+        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found, "imported": told})
         return
     out = Console()
     names = store.campaigns()
@@ -195,6 +199,9 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
+    for dataset_id in imported:
+        line = f"imported: {samples[dataset_id]}: {store.lineage(dataset_id)['imported']}, dataset {dataset_id}"
+        out.print(line, markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:
@@ -248,6 +255,7 @@ def export(
 
 
 add_characterisations(app)
+add_import(app)
 add_quality(app)
 
 

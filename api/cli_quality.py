@@ -102,7 +102,10 @@ def calibrate(
         scan_id = waiting.id
     else:
         old = chosen_dataset(store, dataset)
-        scan_id = store.datasets()[old]
+        of_dataset = store.datasets()[old]
+        if of_dataset is None:
+            raise InputError(f"Dataset {old} was imported and has no raw data; import its file again instead.")
+        scan_id = of_dataset
     new = make_dataset(store, scan_id, made_from=old, certificate=certificate, settings=settings, override=override)
     made = store.dataset(new)
     found = quality(store, new) | {

@@ -27,17 +27,27 @@ def campaign_datasets(store: Store, campaign_id: int) -> dict[str, Dataset]:
     return {name: store.dataset(dataset_id) for name, dataset_id in newest.items() if dataset_id is not None}
 
 
+def dataset_names(store: Store) -> dict[int, tuple[str, str]]:
+    """By the id of every dataset, oldest first: the name of its sample, and that with the number of the repeat."""
+    scans = {scan.id: scan.name for scan in store.scans()}
+    samples = store.dataset_samples()
+    return {
+        dataset_id: (samples[dataset_id], samples[dataset_id] if scan_id is None else scans[scan_id])
+        for dataset_id, scan_id in store.datasets().items()
+    }
+
+
 def find_datasets(store: Store, name: str) -> list[int]:
     """Ids of the datasets called `name`, oldest first: one by its number, those of one repeat, or all of a sample.
 
     Raises `NotInStore` with the names that there are.
     """
-    datasets = {dataset_id: store.scan(scan_id) for dataset_id, scan_id in store.datasets().items()}
+    datasets = dataset_names(store)
     if name.isdecimal() and int(name) in datasets:
         return [int(name)]
-    found = [dataset_id for dataset_id, scan in datasets.items() if is_called(scan, name)]
+    found = [i for i, names in datasets.items() if name.lower() in {each.lower() for each in names}]
     if not found:
-        known = ", ".join(f'{dataset_id} ("{scan.name}")' for dataset_id, scan in datasets.items()) or "none yet"
+        known = ", ".join(f'{dataset_id} ("{own}")' for dataset_id, (_, own) in datasets.items()) or "none yet"
         raise NotInStore(f'There is no dataset "{name}"; there are: {known}.')
     return found
 

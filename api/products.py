@@ -8,9 +8,11 @@ from analysis.analyse import analyse
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
 from analysis.notation import roughly, with_uncertainty
+from analysis.report import IMPORTED
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
+from goniometer.dataset import Dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -75,21 +77,31 @@ def _number(stored: float | str | None) -> float:
 def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Path | None) -> Export:
     """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder."""
     dataset = store.dataset(dataset_id)
+    target = path or _usual_path(dataset, "json" if file_format == "json" else "bsdf")
     conductor = load_conductor()
     analysis = analyse(dataset, conductor)
     if file_format == "json":
-        export = write_text("json", path or Path(f"{slug(dataset.sample)}.json"), analysis_to_json(analysis, conductor))
+        export = write_text("json", target, analysis_to_json(analysis, conductor))
     else:
-        _, export = write_bsdf(path or Path(f"{slug(dataset.sample)}.bsdf"), analysis)
+        _, export = write_bsdf(target, analysis)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export
+
+
+def _usual_path(dataset: Dataset, ending: str) -> Path:
+    """A file in the present folder; raises `InputError` rather than write over what a sample was imported from."""
+    path = Path(f"{slug(dataset.sample)}.{ending}")
+    if path.exists() and path.name.lower() == str(dataset.lineage.get("imported", "")).lower():
+        raise InputError(f"{path} has the name of the file that was imported; name another one with --output.")
+    return path
 
 
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     """Write the HTML report of a dataset to `path` or the present folder."""
     dataset = store.dataset(dataset_id)
-    scan = store.scan(store.datasets()[dataset_id])
-    target = path or Path(f"{slug(dataset.sample)}.html")
-    export = write_analysis_report(target, analyse(dataset, load_conductor()), run_facts(store, scan))
+    scan_id = store.datasets()[dataset_id]
+    facts = IMPORTED if scan_id is None else run_facts(store, store.scan(scan_id))
+    target = path or _usual_path(dataset, "html")
+    export = write_analysis_report(target, analyse(dataset, load_conductor()), facts)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export

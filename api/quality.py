@@ -41,6 +41,7 @@ def quality(store: Store, dataset_id: int) -> dict[str, Any]:
     Raises `NotInStore`.
     """
     dataset = store.dataset(dataset_id)
+    scan_id = store.datasets()[dataset_id]
     return {
         "dataset": dataset_id,
         "sample": dataset.sample,
@@ -48,7 +49,7 @@ def quality(store: Store, dataset_id: int) -> dict[str, Any]:
         "checks": [asdict(check) for check in dataset.checks],
         "points": dataset.theta_in.size,
         "flags": flag_counts(dataset),
-        "too_noisy": too_noisy(store, store.scan(store.datasets()[dataset_id])),
+        "too_noisy": "" if scan_id is None else too_noisy(store, store.scan(scan_id)),
         "certificate_override": dataset.lineage.get("certificate_override"),
     }
 

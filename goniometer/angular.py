@@ -40,9 +40,9 @@ def incidence_groups(theta_in: FloatArray, apart: float) -> Groups:
 def along_theta_out(theta_out: FloatArray, groups: Groups, brdf: FloatArray, floor: FloatArray) -> Derivatives:
     """Derivatives over theta_out (degrees) at the points of each group, from their neighbours in it.
 
-    Values below `floor` [points, wavelengths], the noise, count as `floor`, for they have no logarithm. Between its
-    neighbours a NaN is interpolated. In a group of two points the curvature is zero; of a single one nothing is known,
-    and both are zero.
+    A direction that was measured more than once counts as one, with the mean of ln f. Values below `floor` [points,
+    wavelengths], the noise, count as `floor`, for they have no logarithm. Between its neighbours a NaN is interpolated.
+    In a group of two points the curvature is zero; of a single one nothing is known, and both are zero.
     """
     tiny = np.finfo(float).tiny
     log = np.log(np.maximum(np.maximum(brdf, floor), tiny))  # NaN stays NaN
@@ -50,19 +50,21 @@ def along_theta_out(theta_out: FloatArray, groups: Groups, brdf: FloatArray, flo
     for group in range(int(groups.max()) + 1):
         members = np.flatnonzero(groups == group)
         members = members[np.argsort(theta_out[members])]
-        if members.size < 2:
+        angles, which = np.unique(theta_out[members], return_inverse=True)
+        if angles.size < 2:
             continue
         log[members] = _filled(theta_out[members], log[members])
-        x, y = theta_out[members][:, None], log[members]
+        again = (np.arange(angles.size)[:, None] == which).astype(float)
+        x, y = angles[:, None], again @ log[members] / again.sum(axis=1, keepdims=True)
         slope = np.diff(y, axis=0) / np.diff(x, axis=0)
-        if members.size == 2:
+        if angles.size == 2:
             first[members] = slope
             continue
         bend = np.diff(slope, axis=0) / (x[2:] - x[:-2])  # half the second derivative
         inner = slope[:-1] + bend * (x[1:-1] - x[:-2])
         ends = slope[:1] - bend[:1] * (x[1:2] - x[:1]), slope[-1:] + bend[-1:] * (x[-1:] - x[-2:-1])
-        first[members] = np.concatenate([ends[0], inner, ends[1]])
-        second[members] = 2 * np.concatenate([bend[:1], bend, bend[-1:]])
+        first[members] = np.concatenate([ends[0], inner, ends[1]])[which]
+        second[members] = 2 * np.concatenate([bend[:1], bend, bend[-1:]])[which]
     size = min(SMOOTHED_WAVELENGTHS, log.shape[1])
     first, second = (uniform_filter1d(d, size, axis=1, mode="nearest") for d in (first, second))
     value = np.exp(log)

@@ -75,6 +75,11 @@ def checks(dataset: Dataset, *, spot: Dataset | None, drift: float | None, drift
     )
 
 
+def checks_of_imported(dataset: Dataset) -> tuple[Check, ...]:
+    """What can be asked of a dataset that was measured elsewhere: the questions that its values alone answer."""
+    return _reciprocity(dataset), _energy(dataset), _values(dataset), _noise_floor(dataset)
+
+
 def _reciprocity(dataset: Dataset) -> Check:
     name = "reciprocity"
     pairs = reciprocity(dataset)

@@ -24,8 +24,8 @@ def software_version() -> str:
 class Derived(Database):
     """The part of an open database that holds what was derived; `goniometer.store.Store` is the whole."""
 
-    def add_dataset(self, scan_id: int, dataset: Dataset, certificate: str | None = None) -> int:
-        """Write a calibrated dataset and return its id.
+    def add_dataset(self, scan_id: int | None, dataset: Dataset, certificate: str | None = None) -> int:
+        """Write a dataset and return its id; one that was imported has no scan.
 
         `certificate` is the text of that it was calibrated with, None for that of its campaign.
         """
@@ -45,7 +45,7 @@ class Derived(Database):
             )
 
     def dataset(self, dataset_id: int) -> Dataset:
-        """A calibrated dataset, bit for bit as it was written; raises `NotInStore`."""
+        """A dataset, bit for bit as it was written; raises `NotInStore`."""
         row = self._one(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
         return to_dataset(row)
 
@@ -55,14 +55,19 @@ class Derived(Database):
         lineage: dict[str, object] = json.loads(self._one(query, f"dataset {dataset_id}").lineage)
         return lineage
 
+    def dataset_samples(self) -> dict[int, str]:
+        """Name of the sample of every dataset by its id, oldest first."""
+        table = tables.datasets
+        return {row.id: row.sample for row in self._all(select(table.c.id, table.c.sample).order_by(table.c.id))}
+
     def dataset_certificate(self, dataset_id: int) -> str | None:
         """Text of the certificate of a dataset, None where it is that of its campaign; raises `NotInStore`."""
         query = select(tables.datasets.c.certificate).where(tables.datasets.c.id == dataset_id)
         text: str | None = self._one(query, f"dataset {dataset_id}").certificate
         return text
 
-    def datasets(self, scan_id: int | None = None) -> dict[int, int]:
-        """Scan id of every dataset (of one scan) by its id, oldest first."""
+    def datasets(self, scan_id: int | None = None) -> dict[int, int | None]:
+        """Scan id of every dataset (of one scan) by its id, oldest first; None where it was imported."""
         table = tables.datasets
         query = select(table.c.id, table.c.scan_id).order_by(table.c.id)
         if scan_id is not None:

@@ -5,6 +5,7 @@ GoniometerError
 │   ├── CampaignError     a campaign file
 │   ├── ConfigurationError  an instrument file
 │   ├── GeometryError     an angle that the bench cannot take
+│   ├── DataFileError     a file of measured data
 │   └── CertificateError  a reference certificate
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
@@ -46,6 +47,10 @@ class ConfigurationError(InputError):
 
 class GeometryError(InputError):
     """An angle that the bench cannot take."""
+
+
+class DataFileError(InputError):
+    """A file of data measured elsewhere that cannot be imported."""
 
 
 class CertificateError(InputError):

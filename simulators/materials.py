@@ -10,10 +10,11 @@ import numpy as np
 from analysis.directions import Aperture, round_aperture, through_aperture
 from analysis.distributions import lobe
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
-from analysis.models import LAMBDA_N, cosine_slope, theta_m
+from analysis.models import cosine_slope, theta_m
 from drivers.arrays import FloatArray
 from goniometer.certificate import NOMINAL_SRS99, Certificate
 from goniometer.errors import InputError
+from simulators.surfaces import PATCHES, SANDBLASTED, SANDED, Surface, colorchecker_patch, over_aperture, surface_brdf
 
 DETECTOR_APERTURE = 1.0
 """Full angle of the detector's round aperture, degrees."""
@@ -102,7 +103,7 @@ class Emitter:
     """Wavelength in air, nm, and strength of each emission line: counts a second, all pixels of the line together."""
 
 
-Mountable = Material | Panel | Embossed | Emitter
+Mountable = Material | Surface | Panel | Embossed | Emitter
 
 _COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100), diameter_mm=15.0)
 
@@ -177,16 +178,21 @@ _ALIASES = {"mirror": "sample-6"}
 def material(name: str) -> Mountable:
     """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, or the name of one of the others.
 
-    These are "spectralon", "embossed", "mercury-argon" and "nothing".
+    These are those of `simulators.surfaces.SANDBLASTED` and `SANDED`, "colorchecker-1" to "colorchecker-24",
+    "spectralon", "embossed", "mercury-argon" and "nothing".
 
     Raises `UnknownMaterial`, which lists what there is.
     """
     others: tuple[Mountable, ...] = (SPECTRALON, EMBOSSED, MERCURY_ARGON, NOTHING)
-    known: dict[str, Mountable] = {**SAMPLES, **{other.name: other for other in others}}
+    known: dict[str, Mountable] = {**SAMPLES, **SANDBLASTED, **SANDED, **{other.name: other for other in others}}
     found = known.get(_ALIASES.get(name, name))
-    if found is None:
-        raise UnknownMaterial(f"The simulated bench has no material '{name}'; it has {', '.join([*known, *_ALIASES])}")
-    return found
+    if found is not None:
+        return found
+    patches = {f"colorchecker-{number}": number for number in range(1, PATCHES + 1)}
+    if name in patches:
+        return colorchecker_patch(patches[name])
+    names = [*known, *_ALIASES, f"colorchecker-1 to colorchecker-{PATCHES}"]
+    raise UnknownMaterial(f"The simulated bench has no material '{name}'; it has {', '.join(names)}")
 
 
 @cache
@@ -246,12 +252,15 @@ def true_brdf(
     elif isinstance(what, Embossed):
         value[above] = _embossed(what, theta_in[above], theta_out[above], _aperture(aperture, False))[:, None]
     else:
-        alpha = what.alpha_at(spot)
+        alpha = what.alpha if isinstance(what, Surface) else what.alpha_at(spot)
         index = aluminium_beyond_its_table().index(wavelengths)
         rule = _aperture(aperture, alpha < _NARROW)
         for start in range(0, above.size, _AT_ONCE):
             some = above[start : start + _AT_ONCE]
-            value[some] = _metal(what, alpha, theta_in[some], theta_out[some], wavelengths, index, rule)
+            if isinstance(what, Surface):
+                value[some] = surface_brdf(what, theta_in[some], theta_out[some], wavelengths, index, rule)
+            else:
+                value[some] = _metal(what, alpha, theta_in[some], theta_out[some], wavelengths, index, rule)
     return value
 
 
@@ -274,18 +283,9 @@ def _metal(
 ) -> FloatArray:
     """[points, wavelengths] sum over aperture nodes of weight x lobe x Fresnel x shift.
 
-    Within the aperture Fresnel reflectance is a parabola in the cosine of its angle (through three values, to
-    1e-7), and the shift is linear in the slope as long as it is not clamped, which the presets never are (|m| stays
-    below 2.2 /um). Then all nodes can be summed before the wavelengths enter.
+    The presets never clamp the shift: their |m| stays below 2.2 /um.
     """
     directions = through_aperture(theta_in, theta_out, aperture)
-    weight = lobe(directions, alpha) * aperture.weights
     slope = cosine_slope(theta_m(directions), metal.h, metal.w)
-    low, high = directions.cos_d.min(axis=1), directions.cos_d.max(axis=1)
-    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-3)  # a point detector needs a parabola, too
-    x = (directions.cos_d - centre[:, None]) / half[:, None]
-    parabolas = np.stack([x * (x - 1) / 2, 1 - x**2, x * (x + 1) / 2])
-    level, tilt = ((parabolas * of_node).sum(axis=-1)[..., None] for of_node in (weight, weight * slope))
-    corners = centre + half * np.array([[-1.0], [0.0], [1.0]])
-    fresnel = fresnel_conductor(corners[..., None], *index)
-    return np.asarray(((level + tilt * (wavelengths - LAMBDA_N) * 1e-3) * fresnel).sum(axis=0))
+    weight = lobe(directions, alpha) * aperture.weights
+    return over_aperture(directions, weight, slope, lambda cosine: fresnel_conductor(cosine, *index), wavelengths)

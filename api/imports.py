@@ -1,0 +1,153 @@
+"""Import of data that somebody else measured: which reader a file needs, and what must be said with it."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.dataset import Dataset
+from goniometer.delimited import Meaning, Quantity, read_delimited
+from goniometer.errors import InputError
+from goniometer.imported import Stated, imported_dataset
+from goniometer.measured_table import MeasuredTable, read_text, tidied
+from goniometer.published_json import read_published_json
+from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
+
+FileFormat = Literal["published JSON", "raw text", "table"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a person says of a file; None is what was not said."""
+
+    path: Path
+    sample: str
+    relative_uncertainty: float | None = None
+    relative_noise: float | None = None
+    aperture: float | None = None
+    angle_uncertainty: float | None = None
+    lowest: float = 0.0
+    highest: float = float("inf")
+    quantity: Quantity | None = None
+    angles: Literal["deg", "rad"] | None = None
+    wavelengths: Literal["nm", "um"] | None = None
+    reference: Path | None = None
+    certificate: Path | None = None
+    darks: Path | None = None
+    dark_subtracted: bool = False
+    saturation: float | None = None
+
+
+_OF_TABLE = ("quantity", "angles", "wavelengths")
+_OF_RAW = ("reference", "certificate", "darks", "dark_subtracted", "saturation")
+
+
+def imported_file(asked: Request) -> Dataset:
+    """The dataset that a file becomes; it belongs into a database as one of no scan.
+
+    Raises `InputError`, of which `DataFileError` and `CertificateError` are two, with one sentence: what cannot be
+    meant, or which options are missing.
+    """
+    text, content = read_text(asked.path)
+    kind = file_format(text)
+    _check_options(asked, kind)
+    lineage: dict[str, object] = {
+        "imported": asked.path.name,
+        "imported_sha256": hashlib.sha256(content).hexdigest(),
+        "imported_format": kind,
+    }
+    table, notes, more = _read(asked, kind, text)
+    table, tidying = tidied(str(asked.path), table, asked.lowest, asked.highest)
+    if (table.u is None) == (asked.relative_uncertainty is None):
+        raise InputError(
+            f"{asked.path}: states no uncertainty; say with --relative-uncertainty what part of a value is uncertain."
+            if table.u is None
+            else f"{asked.path}: states the uncertainty of every value itself; leave out --relative-uncertainty."
+        )
+    assert asked.aperture is not None  # as is what follows, checked with the options
+    assert asked.angle_uncertainty is not None
+    stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
+    lineage |= more | {"notes": [*notes, *tidying]}
+    return imported_dataset(asked.sample, table, stated, lineage)
+
+
+def file_format(text: str) -> FileFormat:
+    """Which reader a text is for, by how it begins."""
+    if text.lstrip()[:1] in {"[", "{"}:
+        return "published JSON"
+    return "raw text" if looks_like_raw_text(text) else "table"
+
+
+def _check_options(asked: Request, kind: FileFormat) -> None:
+    """Raise `InputError` for options that this kind of file lacks, and for those that it has no use for."""
+    missing = [name for name in ("aperture", "angle_uncertainty") if getattr(asked, name) is None]
+    if kind == "table":
+        missing += [name for name in _OF_TABLE if getattr(asked, name) is None]
+    if kind == "raw text":
+        missing += [name for name in ("reference", "certificate", "saturation") if getattr(asked, name) is None]
+        if (asked.darks is None) != asked.dark_subtracted:
+            raise InputError(
+                f"{asked.path}: holds raw counts; name either dark spectra with --darks, or say with --dark-subtracted "
+                f"that the instrument took them off."
+            )
+    if missing:
+        raise InputError(
+            f"{asked.path}: is read as {_AS[kind]}, which does not say everything; state {_options(missing)} as well."
+        )
+    needless = [name for name in (*_OF_TABLE, *_OF_RAW) if getattr(asked, name) not in {None, False}]
+    needless = [name for name in needless if name not in _USED[kind]]
+    if needless:
+        raise InputError(
+            f"{asked.path}: is read as {_AS[kind]}, which has no use for {_options(needless)}; leave it out."
+        )
+
+
+_AS = {"published JSON": "JSON of points", "raw text": "raw text of a goniometer", "table": "a table"}
+_USED: dict[FileFormat, tuple[str, ...]] = {"published JSON": (), "raw text": _OF_RAW, "table": _OF_TABLE}
+
+
+def _options(names: list[str]) -> str:
+    return ", ".join(f"--{name.replace('_', '-')}" for name in names)
+
+
+def _read(asked: Request, kind: FileFormat, text: str) -> tuple[MeasuredTable, list[str], dict[str, object]]:
+    """The table of a file, sentences about it, and what belongs into the lineage."""
+    path = str(asked.path)
+    if kind == "published JSON":
+        table, notes = read_published_json(path, text)
+        return table, notes, {}
+    if kind == "table":
+        assert asked.quantity is not None  # as is what follows, checked with the options
+        assert asked.angles is not None
+        assert asked.wavelengths is not None
+        table = read_delimited(path, text, Meaning(asked.quantity, asked.angles, asked.wavelengths))
+        return table, [], {"stated_meaning": {name: getattr(asked, name) for name in _OF_TABLE}}
+    assert asked.reference is not None
+    assert asked.certificate is not None
+    assert asked.saturation is not None
+    written = read_certificate(asked.certificate)
+    panel = parse_certificate(written, str(asked.certificate))
+    raw = within(read_raw_text(path, text), asked.lowest, asked.highest)
+    reference, of_reference = _raw(asked.reference, asked)
+    darks, of_darks = (None, {}) if asked.darks is None else _raw(asked.darks, asked)
+    table, notes = ratio_to_reference(raw, reference, panel, darks, asked.saturation)
+    notes.append("The raw text has no date, so nobody knows whether the certificate was valid on the day.")
+    return (
+        table,
+        notes,
+        {
+            "reference": of_reference,
+            "darks": of_darks or "subtracted by the instrument, as stated",
+            "certificate": panel.serial_number,
+            "certificate_sha256": hashlib.sha256(written.encode()).hexdigest(),
+            "certificate_valid_until": None if panel.valid_until is None else panel.valid_until.isoformat(),
+            "saturation_counts": asked.saturation,
+        },
+    )
+
+
+def _raw(path: Path, asked: Request) -> tuple[RawText, dict[str, str]]:
+    text, content = read_text(path)
+    found = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+    return within(read_raw_text(str(path), text), asked.lowest, asked.highest), found

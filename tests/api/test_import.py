@@ -1,0 +1,108 @@
+"""Import of other people's data on the command line, and that everything else works on what was imported."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from api.cli import app
+from api.products import export_dataset, fit_dataset, report_dataset
+from goniometer.errors import InputError
+from goniometer.store import Store
+from simulators.materials import SAMPLES, true_brdf
+from tests.drawn_dataset import directions
+
+STATED = ("--relative-uncertainty", 0.01, "--aperture", 1, "--angle-uncertainty", 0.01)
+
+
+def invoke(*arguments: object) -> Result:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """Sample 2 in the published form, with noise of 0.3 % and 1e-5 1/sr, its points in no order."""
+    random = np.random.default_rng(4)
+    theta_in, theta_out = directions(SAMPLES["sample-2"].alpha, incident=(0, 20, 40, 60))
+    wavelengths = np.arange(390.0, 781.0, 10.0)
+    truth = true_brdf(SAMPLES["sample-2"], theta_in, theta_out, wavelengths)
+    drawn = truth * (1 + 0.003 * random.standard_normal(truth.shape)) + 1e-5 * random.standard_normal(truth.shape)
+    points = [
+        {"thetaIn": t, "phiIn": 0, "thetaOut": abs(o), "phiOut": 180 if o >= 0 else 0, "spectrum": f.tolist()}
+        for t, o, f in zip(theta_in, theta_out, drawn, strict=True)
+    ]
+    order = random.permutation(len(points))
+    path = tmp_path / "their sample.json"
+    path.write_text(json.dumps([{"wavelengths": wavelengths.tolist()}, *(points[i] for i in order)]))
+    return path
+
+
+@pytest.mark.slow
+def test_imported_data_are_fitted_checked_and_reported_like_measured_ones(file: Path, tmp_path: Path) -> None:
+    database = tmp_path / "goniometer.db"
+    told = invoke("import", file, *STATED, "--database", database).stdout
+    assert "as dataset 1, their sample: " in told
+    assert "at 4 incident angles, 40 wavelengths from 390 to 780 nm" in told
+    store = Store.open(database)
+    assert "imported: their sample: their sample.json, dataset 1" in invoke("status", "-d", database).stdout
+    lineage = store.lineage(1)
+    assert lineage["imported"] == "their sample.json"
+    assert lineage["imported_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    fitted = fit_dataset(store, 1, None)["fits"]
+    (alpha,) = (p for p in fitted["cook-torrance-shift"]["parameters"] if p["name"] == "alpha")
+    assert alpha["value"] == pytest.approx(SAMPLES["sample-2"].alpha, rel=0.02)
+    report_dataset(store, 1, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "their sample.json" in page
+    assert "bench time" not in page
+    assert invoke("check", "their sample", "--database", database).exit_code == 0
+    assert [source.name for source in store.dataset(1).sources][1] == "reference: as stated with the file"
+    with pytest.raises(InputError, match="import its file again"):
+        invoke("calibrate", "their sample", "--database", database)
+
+
+def test_what_a_file_does_not_say_is_asked_for_by_the_option_that_says_it(file: Path, tmp_path: Path) -> None:
+    database = tmp_path / "goniometer.db"
+    table = tmp_path / "a.csv"
+    table.write_text("theta_in,theta_out,400\n10,20,0.3\n")
+    raw = tmp_path / "a.txt"
+    raw.write_text("10 20 5\n1500 1501 1502 1503\n400,0 410,0 420,0 430,0\n--\n")
+    for arguments, wanted in [
+        ((file,), "state --aperture, --angle-uncertainty as well"),
+        ((file, "--aperture", 1, "--angle-uncertainty", 0), "--relative-uncertainty"),
+        ((file, *STATED, "--quantity", "brdf"), "no use for --quantity"),
+        ((table, *STATED), "state --quantity, --angles, --wavelengths as well"),
+        ((raw, *STATED, "--dark-subtracted"), "state --reference, --certificate, --saturation as well"),
+        ((raw, *STATED), "--darks"),
+    ]:
+        with pytest.raises(InputError, match=wanted):
+            invoke("import", *arguments, "--database", database)
+    assert not database.exists()
+
+
+def test_an_export_does_not_write_over_the_file_that_was_imported(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mine = file.rename(tmp_path / "mine.json")
+    before = mine.read_bytes()
+    invoke("import", mine, *STATED)
+    with pytest.raises(InputError, match="has the name of the file that was imported"):
+        export_dataset(Store.open(tmp_path / "goniometer.db"), 1, "json", None)
+    assert mine.read_bytes() == before
+
+
+def test_an_import_leaves_out_wavelengths_and_prints_its_lineage_as_json(file: Path, tmp_path: Path) -> None:
+    database = tmp_path / "goniometer.db"
+    found = json.loads(
+        invoke("import", file, *STATED, "--lowest", 500, "--sample", "Theirs", "-d", database, "--json").stdout
+    )
+    assert (found["dataset"], found["sample"], found["points"] > 50) == (1, "Theirs", True)
+    assert found["lineage"]["notes"] == ["11 of 40 wavelengths were left out, as asked for."]
+    assert {check["name"] for check in found["checks"]} == {"reciprocity", "energy", "values", "noise floor"}
