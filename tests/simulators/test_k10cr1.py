@@ -111,6 +111,7 @@ def test_on_the_way_back_it_passes_its_target_unless_it_is_told_not_to(client: C
         client.send(thorlabs.mot_set_genmoveparams(MOUNT, PC, CHANNEL, distance))
         assert client.ask(*query).backlash_distance == distance
         client.send(thorlabs.mot_move_absolute(MOUNT, PC, CHANNEL, round(20 * COUNTS_PER_DEGREE)))
+        client.status()  # a command that is answered by nothing may take effect late; once this is answered it has
         clock.advance_to(clock.now() + 10)
         client.send(thorlabs.mot_move_absolute(MOUNT, PC, CHANNEL, round(10 * COUNTS_PER_DEGREE)))
         lowest = 20 * COUNTS_PER_DEGREE
