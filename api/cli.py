@@ -30,7 +30,7 @@ from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
-from goniometer.campaign import load_campaign
+from goniometer.campaign_file import load_campaign
 from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY

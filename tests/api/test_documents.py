@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from api.settings import load_instrument
-from goniometer.campaign import Campaign, Sample, load_campaign
+from goniometer.campaign import Campaign, Sample
+from goniometer.campaign_file import load_campaign
 
 ROOT = Path(__file__).parents[2]
 
