@@ -281,6 +281,7 @@ class Instrument:
             check_standing(standing, self.limits, self.forbidden)
         safe_path(way[0], way[1], self.forbidden)
         stage, spectrometer = self._detector_stage, self._spectrometer
+        await self._cruise()  # where a sweep before could not
         sample = (await self._go(way[0])).sample_angle
         await self._set_shutter(True)
         self._forget_targets()
