@@ -162,7 +162,7 @@ def test_the_way_ends_where_the_arm_is_wanted_next():
 
 
 def test_a_pre_scan_costs_its_own_way_at_its_own_speed():
-    motion = Motion(detector=StageMotion(velocity=30, acceleration=60), settling=0.0)
+    motion = Motion(detector=StageMotion(velocity=30, acceleration=60))
     path = [Geometry(INCIDENT, -40.0), Geometry(INCIDENT, 80.0), Geometry(INCIDENT, 0.0)]
     added = cost(path, SPEC, Prescan(step=2, integration=0.5), motion)
     # down from 80 to -40 at 4 degrees/s before the first point, which is there
