@@ -95,7 +95,7 @@ class Auxiliary:
         self._campaign = campaign
         self._detector = detector_of(raw.constants)
         self._darks = darks
-        self._spec = plan_spec(campaign)
+        self._spec = plan_spec(campaign, instrument.motion)
         self._direction = monitor_direction(self._spec)
         self._prescan = campaign.prescan if store.scan(raw.scan_id).kind == "sample" else None
         self._swept = {sweep.shot.geometry.theta_in for sweep in raw.sweeps}

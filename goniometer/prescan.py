@@ -28,10 +28,13 @@ def way(spec: PlanSpec, point: Geometry) -> tuple[float, float]:
     """From where to where theta_out is swept before `point` is the first at its incident angle, degrees.
 
     Over the whole range, towards the end to which the point is nearer: so the arm is where it is wanted next, and
-    a scan that was interrupted sweeps the same way again, wherever the arm stands.
+    a scan that was interrupted sweeps the same way again, wherever the arm stands. Upwards where the arm has backlash,
+    for on the way down it is not where it reads.
     """
     parts = segments(spec, point.theta_in)
     low, high = parts[0][0], parts[-1][1]
+    if spec.motion.detector.backlash:
+        return low, high
     return (low, high) if high - point.theta_out <= point.theta_out - low else (high, low)
 
 

@@ -78,10 +78,12 @@ def stored(seconds, *, attempts=1, session="a", besides=(), start=0):
     points, exposures = [], []
     for i, (geometry, taken) in enumerate(zip(PATH[start:], seconds, strict=False), start=start):
         for place, time in besides[i] if i < len(besides) else ():
-            exposures.append(ExposureTime(len(exposures) + 1, None, place, session, time))
+            exposures.append(
+                ExposureTime(len(exposures) + 1, "dark" if place is None else "monitor", None, place, session, time)
+            )
         points.append(Point(i + 1, 1, i, geometry, geometry, "done", attempts, "", taken, None))
-        exposures.append(ExposureTime(len(exposures) + 1, i + 1, geometry, session, 0.25))
-        exposures.append(ExposureTime(len(exposures) + 1, i + 1, geometry, session, 0.75))
+        exposures.append(ExposureTime(len(exposures) + 1, "light", i + 1, geometry, session, 0.25))
+        exposures.append(ExposureTime(len(exposures) + 1, "light", i + 1, geometry, session, 0.75))
     return points, exposures
 
 

@@ -157,6 +157,9 @@ def test_a_run_whose_sweep_was_stopped_or_spoilt_ends_like_one_that_was_left_alo
 def test_the_way_ends_where_the_arm_is_wanted_next():
     assert way(SPEC, Geometry(INCIDENT, 70.0)) == (-40, 80)
     assert way(SPEC, Geometry(INCIDENT, -20.0)) == (80, -40)
+    # an arm with backlash reads right only on its way up
+    loose = replace(SPEC, motion=Motion(detector=StageMotion(backlash=1.0)))
+    assert way(loose, Geometry(INCIDENT, -20.0)) == (-40, 80)
     # the blocked sector is no part of the range's end
     assert way(replace(SPEC, lowest=-32.0), Geometry(INCIDENT, 80.0)) == pytest.approx((-25, 80), abs=1e-6)
 
