@@ -29,10 +29,10 @@ def campaign_datasets(store: Store, campaign_id: int) -> dict[str, Dataset]:
 
 def dataset_names(store: Store) -> dict[int, tuple[str, str]]:
     """By the id of every dataset, oldest first: the name of its sample, and that with the number of the repeat."""
-    scans = {scan.id: scan.name for scan in store.scans()}
+    scans = {scan.id: (scan.sample, scan.name) for scan in store.scans()}
     samples = store.dataset_samples()
     return {
-        dataset_id: (samples[dataset_id], samples[dataset_id] if scan_id is None else scans[scan_id])
+        dataset_id: (samples[dataset_id], samples[dataset_id]) if scan_id is None else scans[scan_id]
         for dataset_id, scan_id in store.datasets().items()
     }
 

@@ -19,6 +19,7 @@ from goniometer.campaign import Campaign, Integration, OutgoingRange, Reference,
 from goniometer.certificate_file import certificate_csv
 from goniometer.conditions import Conditions
 from goniometer.errors import CampaignError
+from goniometer.estimate import NOTHING
 from goniometer.progress import Progress, Waiting
 from goniometer.records import Scan
 from goniometer.scheduler import Report, run_campaign
@@ -150,7 +151,6 @@ def test_the_preview_counts_repeats_waits_and_conditions() -> None:
     for leg, before in zip(careful.legs, plain.legs, strict=True):
         assert leg.time.seconds == pytest.approx(before.time.seconds + leg.waiting)
     told = "\n".join(careful.lines())
-    assert "about 11 min" in told
     assert "11 min 00 s of it waiting" in told
     assert "the lamp has been on for 20 min 00 s" in told
     assert "by less than 0.2 % in 1 min 00 s" in told
@@ -161,7 +161,7 @@ def test_an_operator_sees_what_a_run_waits_for() -> None:
     with progress_display(console) as (show, _):
         for left in (600.0, 590.0):
             waiting = Waiting("as the campaign asks", left)
-            show(Progress(2, "Rough #1", "sample", "running", None, 0, 0, 20, 0.0, None, 0.0, None, waiting))
+            show(Progress(2, "Rough #1", "sample", "running", None, 0, 0, 20, 0.0, NOTHING, 0.0, None, None, waiting))
     assert console.file.getvalue() == (  # type: ignore[attr-defined]
         "Rough #1: 0 of about 20 points, 0 %, waiting: as the campaign asks, 10 min 00 s left on the bench\n"
     )
