@@ -108,10 +108,10 @@ def test_points_to_come_are_like_those_near_them_and_as_uncertain_as_neighbours_
     seen = [Visit(Geometry(t, t + x), 1.0 if abs(x) < 5 else 9.0, 0.5) for t in (0.0, 40.0) for x in (-20, -1, 1, 20)]
     assert dead_time(seen) == pytest.approx(0.5)
     batch = [Geometry(40.0, 40.0), Geometry(40.0, 80.0), Geometry(60.0, 60.5), Geometry(60.0, 85.0)]
-    told = remaining(seen, batch, 3, Foreseen(13, 11, 15), 8, MOTION, batch[0])
-    moving = travel(batch, MOTION).seconds
-    assert told.seconds == pytest.approx(moving + (9 + 1 + 9) + 3 * 0.5 + 2 * (moving / 4 + 0.5 + 5.0))
+    legs = [3.0, 5.0, 7.0, 9.0]
+    told = remaining(seen, batch, legs, 3, Foreseen(13, 11, 15), 8)
+    assert told.seconds == pytest.approx((5 + 7 + 9) + (9 + 1 + 9) + 3 * 0.5 + 2 * (6.0 + 0.5 + 5.0))
     assert told.low < told.seconds < told.high
     sure = [Visit(v.geometry, 2.0, 0.5) for v in seen]
-    told = remaining(sure, batch, 3, Foreseen(11, 11, 11), 8, MOTION, batch[0])
-    assert told.low == told.seconds == told.high == pytest.approx(moving + 3 * 2.5)
+    told = remaining(sure, batch, legs, 3, Foreseen(11, 11, 11), 8)
+    assert told.low == told.seconds == told.high == pytest.approx(21.0 + 3 * 2.5)
