@@ -156,19 +156,18 @@ def unknown_darks(campaign: Campaign) -> Expected:
 def remaining(
     seen: Sequence[Visit],
     batch: Sequence[Geometry],
+    moving: Sequence[float],
     pending: int,
     total: Foreseen,
     done: int,
-    motion: Motion,
-    here: Geometry | None,
 ) -> Expected:
     """Time for the points to come, as those that were seen tell; needs `FEWEST` of these.
 
-    `batch` are the directions that the plan asked for last, of which the last `pending` are to be visited from `here`
-    on. Each takes as long to expose as the seen one that is nearest to it: in incident angle, and in distance from the
-    mirror direction. Points beyond the batch, until there are as many as are foreseen, are like those of the batch:
-    the plan goes on where it is. The limits are those of the number of points, and two standard deviations of the
-    exposures, which err alike at one incident angle.
+    `batch` are the directions that the plan asked for last, of which the last `pending` are still to be visited, and
+    `moving` the seconds of the moves there. Each takes as long to expose as the seen one that is nearest to it: in
+    incident angle, and in distance from the mirror direction. Points beyond the batch, until there are as many as are
+    foreseen, are like those of the batch: the plan goes on where it is. The limits are those of the number of points,
+    and two standard deviations of the exposures, which err alike at one incident angle.
     """
     latest = seen[-LATEST:]
     exposure = np.array([visit.exposure for visit in latest])
@@ -178,17 +177,16 @@ def remaining(
     np.fill_diagonal(apart, inf)
     error = float(np.sqrt(np.mean((exposure - exposure[apart.argmin(axis=1)]) ** 2)))
     dead = dead_time(latest) or 0.0
-    to_come = batch[len(batch) - pending :]
-    moving = travel(to_come, motion, here).seconds
-    on_the_way = travel(batch, motion).seconds / len(batch)
+    first = len(batch) - pending
+    on_the_way, typical = sum(moving[first:]), sum(moving) / len(moving)
     groups = len({geometry.theta_in for geometry in batch})
     parts = []
     for points, side in ((total.points, 0), (total.low, -1), (total.high, 1)):
         more = max(points - done - pending, 0)
-        exposing = float(each[len(batch) - pending :].sum() + more * each.mean())
+        exposing = float(each[first:].sum() + more * each.mean())
         deviation = error * hypot((pending + more) / np.sqrt(groups), np.sqrt(pending + more))
         exposing = max(exposing + 2 * side * deviation, 0.0)
-        parts.append(moving + more * on_the_way + (pending + more) * dead + exposing)
+        parts.append(on_the_way + more * typical + (pending + more) * dead + exposing)
     return Expected(*parts)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple
+from itertools import pairwise
 
 from goniometer.auxiliary import Auxiliary
 from goniometer.campaign import Integration
@@ -27,6 +28,7 @@ class Estimate:
         self._exposures: list[ExposureTime] = []
         self._visits: list[Visit] = []
         self._batch: list[Geometry] = []
+        self._moving: list[float] = []
         self.total = Foreseen(0, 0, 0)
         """Points that there will be."""
         self.remaining = NOTHING
@@ -41,6 +43,7 @@ class Estimate:
         """Take up a batch, empty when the scan is complete, after `done` points of about `total`."""
         least = done + len(batch)
         self._batch = list(batch)
+        self._moving = [0.0, *(self._motion.seconds(a, b) for a, b in pairwise(batch))]
         self.total = Foreseen(*(max(count, least) for count in astuple(total))) if batch else Foreseen(*[done] * 3)
         self.remaining = NOTHING
         self.update(len(batch), done, auxiliary)
@@ -57,11 +60,10 @@ class Estimate:
         points = self._store.points(self._scan_id)
         self._visits = visits(points, self._exposures, self._motion)
         path = self._batch[len(self._batch) - pending :]
-        here = self._batch[-pending - 1] if pending < len(self._batch) else None
         if len(self._visits) >= FEWEST:
-            time = remaining(self._visits, self._batch, pending, self.total, done, self._motion, here)
+            time = remaining(self._visits, self._batch, self._moving, pending, self.total, done)
         else:
-            time = expected(path, self._motion, self._policy, here)
+            time = expected(path, self._motion, self._policy)
             more = [(count - done) / len(path) for count in astuple(self.total)]
             time = Expected(time.seconds * more[0], time.low * more[1], time.high * more[2])
         time += auxiliary.to_come(path, time)

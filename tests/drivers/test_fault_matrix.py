@@ -16,6 +16,8 @@ from tests.benchmarks.truth import Truth, lost, wrong
 
 STRIKES = 2
 """Strikes at each cell: one on a single request, one on several in a row."""
+SLOW_POINTS = 4
+"""Points after which a stage that has become slow is greased: each of them waits in vain for it."""
 CAMPAIGN = Campaign(
     name="Night",
     seed=3,
@@ -79,6 +81,8 @@ def test_every_point_of_a_disturbed_campaign_is_where_and_what_it_should_be(
     def disturb(laboratory: Laboratory, progress: Progress) -> None:
         if progress.kind == "sample" and progress.done == after and not script.requests:
             getattr(laboratory, role).script = script
+        if kind is Kind.SLOW and role != "spectrometer" and progress.done >= after + SLOW_POINTS:
+            getattr(laboratory, role)._slowness = 1.0
 
     store = Store.open(tmp_path / "night.db")
     try:

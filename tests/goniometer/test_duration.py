@@ -1,5 +1,6 @@
 """Expected times are judged by sums worked out by hand and by drawing."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -78,9 +79,8 @@ def stored(seconds, *, attempts=1, session="a", besides=(), start=0):
     points, exposures = [], []
     for i, (geometry, taken) in enumerate(zip(PATH[start:], seconds, strict=False), start=start):
         for place, time in besides[i] if i < len(besides) else ():
-            exposures.append(
-                ExposureTime(len(exposures) + 1, "dark" if place is None else "monitor", None, place, session, time)
-            )
+            kind = "dark" if place is None else "monitor"
+            exposures.append(ExposureTime(len(exposures) + 1, kind, None, place, session, time))
         points.append(Point(i + 1, 1, i, geometry, geometry, "done", attempts, "", taken, None))
         exposures.append(ExposureTime(len(exposures) + 1, "light", i + 1, geometry, session, 0.25))
         exposures.append(ExposureTime(len(exposures) + 1, "light", i + 1, geometry, session, 0.75))
@@ -98,10 +98,13 @@ def test_what_a_point_takes_beyond_its_moves_and_integration_is_dead_time_and_mo
     assert [v.dead for v in found] == pytest.approx([0.7, 0.9])
 
 
-def test_nothing_is_learnt_from_a_point_after_a_fault_or_a_restart():
+def test_nothing_is_learnt_from_a_point_after_a_fault_a_restart_or_a_sweep():
     seconds = [1 + 0.7 + m for m in [0.0, *(MOTION.seconds(a, b) for a, b in pairwise(PATH))]]
     assert len(visits(*stored(seconds), MOTION)) == 5
     assert visits(*stored(seconds, attempts=2), MOTION) == []
+    points, exposures = stored(seconds, besides=[[], [], [(PATH[2], 1.0)]])
+    swept = [replace(e, kind="sweep") if e.kind == "monitor" else e for e in exposures]
+    assert [v.geometry for v in visits(points, swept, MOTION)] == [PATH[1], *PATH[3:]]
     first, second = stored(seconds[:3]), stored(seconds[3:], session="b", start=3)
     assert len(visits(first[0] + second[0], first[1] + second[1], MOTION)) == 2 + 2
 
@@ -110,10 +113,10 @@ def test_points_to_come_are_like_those_near_them_and_as_uncertain_as_neighbours_
     seen = [Visit(Geometry(t, t + x), 1.0 if abs(x) < 5 else 9.0, 0.5) for t in (0.0, 40.0) for x in (-20, -1, 1, 20)]
     assert dead_time(seen) == pytest.approx(0.5)
     batch = [Geometry(40.0, 40.0), Geometry(40.0, 80.0), Geometry(60.0, 60.5), Geometry(60.0, 85.0)]
-    told = remaining(seen, batch, 3, Foreseen(13, 11, 15), 8, MOTION, batch[0])
-    moving = travel(batch, MOTION).seconds
-    assert told.seconds == pytest.approx(moving + (9 + 1 + 9) + 3 * 0.5 + 2 * (moving / 4 + 0.5 + 5.0))
+    legs = [3.0, 5.0, 7.0, 9.0]
+    told = remaining(seen, batch, legs, 3, Foreseen(13, 11, 15), 8)
+    assert told.seconds == pytest.approx((5 + 7 + 9) + (9 + 1 + 9) + 3 * 0.5 + 2 * (6.0 + 0.5 + 5.0))
     assert told.low < told.seconds < told.high
     sure = [Visit(v.geometry, 2.0, 0.5) for v in seen]
-    told = remaining(sure, batch, 3, Foreseen(11, 11, 11), 8, MOTION, batch[0])
-    assert told.low == told.seconds == told.high == pytest.approx(moving + 3 * 2.5)
+    told = remaining(sure, batch, legs, 3, Foreseen(11, 11, 11), 8)
+    assert told.low == told.seconds == told.high == pytest.approx(21.0 + 3 * 2.5)
