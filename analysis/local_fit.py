@@ -3,7 +3,8 @@
 f(lambda) = a (1 + m x) F_n^p with x = (lambda - lambda_n) / 1000 in um and F_n = F / F(lambda_n) at the incident
 angle. The scale a is free: dividing by the one sample at lambda_n instead would hand its noise to the slope.
 For a given p the model is linear in a and a m, so only p is searched (variable projection; Golub & Pereyra
-1973, with Kaufman's 1975 step), for all spectra at once.
+1973, with Kaufman's 1975 step), for all spectra at once. That is the engine "fast"; "lmfit" is the library's
+Levenberg-Marquardt in a, m and p from one start, spectrum by spectrum as in the paper, to hold it against.
 """
 
 from typing import NamedTuple
@@ -12,6 +13,7 @@ import numpy as np
 
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
+from analysis.least_squares import Engine
 from analysis.models import LAMBDA_N, shift
 from analysis.propagation import variance_of_each_point
 from analysis.results import LocalFit
@@ -58,16 +60,24 @@ class _State(NamedTuple):
     """[points, wavelengths] weighted, measured minus model."""
 
 
-def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: float = LAMBDA_N) -> LocalFit:
+def local_fit(
+    dataset: Dataset,
+    conductor: Conductor | None = None,
+    lambda_n: float = LAMBDA_N,
+    engine: Engine = "fast",
+    fresnel: bool = True,
+) -> LocalFit:
     """Fit Eq. 2 to every spectrum of `dataset`, weighted by the noise of its counts (`dataset.u_counts`).
 
-    `conductor` is aluminium unless given. The uncertainty of the slope follows from all errors of the measurement
+    `conductor` is aluminium unless given; without `fresnel` the exponent p is held at 0, as for a dielectric whose
+    reflectance knows no wavelength (section 5.6), and the conductor is not asked. The uncertainty of the slope follows from all errors of the measurement
     by the delta method, those that wavelengths share included. A spectrum with fewer than five valid wavelengths
     gets NaN. Unreliable are points that are not usable (`dataset.usable`), those whose median signal is below its
     noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
+    Both engines find the same: slopes agree to 1e-7 of 1/um where the spectrum determines them.
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """
-    spectra = _spectra(dataset, conductor or load_conductor(), lambda_n)
+    spectra = _spectra(dataset, (conductor or load_conductor()) if fresnel else None, lambda_n)
     enough = np.count_nonzero(spectra.root_weight, axis=1) >= LEAST_WAVELENGTHS
     if not enough.any():
         raise FitError(
@@ -75,11 +85,17 @@ def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: fl
             "from its counts above zero; check the calibration."
         )
     fitted_spectra = spectra.take(enough)
-    exponent, settled = _search_exponent(fitted_spectra)
-    state = _linear(fitted_spectra, exponent)
+    if not fresnel:
+        exponent, settled = np.zeros(int(enough.sum())), np.ones(int(enough.sum()), dtype=bool)
+        state = _linear(fitted_spectra, exponent)
+    elif engine == "fast":
+        exponent, settled = _search_exponent(fitted_spectra)
+        state = _linear(fitted_spectra, exponent)
+    else:
+        exponent, state, settled = _by_lmfit(fitted_spectra)
     slope = _ratio(state.tilt, state.scale)
     gain = np.zeros(dataset.brdf.shape)
-    gain[enough] = _slope_and_exponent_gain(fitted_spectra, state, slope)[0] * fitted_spectra.root_weight
+    gain[enough] = _slope_and_exponent_gain(fitted_spectra, state, slope, fresnel)[0] * fitted_spectra.root_weight
     u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))[enough]
 
     fitted = _model(state.scale, slope, exponent, fitted_spectra)
@@ -110,27 +126,36 @@ def local_fit(dataset: Dataset, conductor: Conductor | None = None, lambda_n: fl
         reliable=everywhere,
         fitted=at_all_points(fitted),
         lambda_n=lambda_n,
+        fresnel=fresnel,
     )
 
 
-def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor) -> FloatArray:
+def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor | None) -> FloatArray:
     """[2, points, wavelengths] derivative of slope (1/um) and exponent by each BRDF value, at the fit's solution.
 
-    Zero where a value was not used, and at points that are not reliable. This is what passes errors that
+    `conductor` is that of the fit, None for one without Fresnel term. Zero where a value was not used, and at points
+    that are not reliable. This is what passes errors that
     points share on to whatever is made of the slopes.
     """
     used = local.reliable
     spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
     gain = np.zeros((2, *dataset.brdf.shape))
     state = _linear(spectra, local.exponent[used])
-    gain[:, used] = _slope_and_exponent_gain(spectra, state, local.slope[used]) * spectra.root_weight
+    gain[:, used] = _slope_and_exponent_gain(spectra, state, local.slope[used], local.fresnel) * spectra.root_weight
     return gain
 
 
 def shifted_fresnel(
-    dataset: Dataset, scale: FloatArray, slope: FloatArray, exponent: FloatArray, conductor: Conductor, lambda_n: float
+    dataset: Dataset,
+    scale: FloatArray,
+    slope: FloatArray,
+    exponent: FloatArray,
+    conductor: Conductor | None,
+    lambda_n: float,
 ) -> FloatArray:
     """[points, wavelengths] a shift F_n^p (Eq. 3) for `scale`, `slope` (1/um) and `exponent`, all [points].
+
+    Without a `conductor` F_n is one.
 
     Unlike a local fit it is a model to be evaluated, so a negative shift is clamped at zero.
     """
@@ -138,9 +163,11 @@ def shifted_fresnel(
     return np.asarray(scale[:, None] * shift(slope, dataset.wavelengths, lambda_n) * power)
 
 
-def _spectra(dataset: Dataset, conductor: Conductor, lambda_n: float) -> _Spectra:
-    n, k = conductor.index(np.append(dataset.wavelengths, lambda_n))
-    fresnel = fresnel_conductor(np.cos(np.radians(dataset.theta_in))[:, None], n, k)
+def _spectra(dataset: Dataset, conductor: Conductor | None, lambda_n: float) -> _Spectra:
+    fresnel = np.ones((dataset.theta_in.size, dataset.wavelengths.size + 1))
+    if conductor is not None:
+        n, k = conductor.index(np.append(dataset.wavelengths, lambda_n))
+        fresnel = fresnel_conductor(np.cos(np.radians(dataset.theta_in))[:, None], n, k)
     u = dataset.u_counts
     valid = np.isfinite(dataset.brdf) & np.isfinite(u) & (u > 0)
     return _Spectra(
@@ -163,13 +190,22 @@ def _model(scale: FloatArray, slope: FloatArray, exponent: FloatArray, spectra: 
 
 def _linear(spectra: _Spectra, exponent: FloatArray) -> _State:
     """Solve for scale and tilt at given exponents [points]: two normal equations a spectrum, in closed form."""
-    first = np.exp(exponent[:, None] * spectra.log_fresnel) * spectra.root_weight
-    second = first * spectra.x
-    target = spectra.values * spectra.root_weight
+    first, second, target = _columns(spectra, exponent)
     aa, ab, bb = (np.einsum("pw,pw->p", u, v) for u, v in ((first, first), (first, second), (second, second)))
     at, bt = np.einsum("pw,pw->p", first, target), np.einsum("pw,pw->p", second, target)
     determinant = aa * bb - ab**2
     scale, tilt = (bb * at - ab * bt) / determinant, (aa * bt - ab * at) / determinant
+    return _state(spectra, exponent, scale, tilt)
+
+
+def _columns(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weighted derivatives of the model by a and a m, and the weighted data, each [points, wavelengths]."""
+    first = np.exp(exponent[:, None] * spectra.log_fresnel) * spectra.root_weight
+    return first, first * spectra.x, spectra.values * spectra.root_weight
+
+
+def _state(spectra: _Spectra, exponent: FloatArray, scale: FloatArray, tilt: FloatArray) -> _State:
+    first, second, target = _columns(spectra, exponent)
     model = scale[:, None] * first + tilt[:, None] * second
     residual = target - model
     columns = np.stack([first, second, model * spectra.log_fresnel], axis=1)
@@ -177,7 +213,7 @@ def _linear(spectra: _Spectra, exponent: FloatArray) -> _State:
 
 
 def _inverse_normal(columns: FloatArray) -> FloatArray:
-    """[points, 3, 3] inverse normal matrices, scaled to a unit diagonal first; NaN where singular."""
+    """[points, n, n] inverse normal matrices, scaled to a unit diagonal first; NaN where singular."""
     normal = columns @ columns.transpose(0, 2, 1)
     size = np.sqrt(np.einsum("pii->pi", normal))
     solvable = np.all(size > 0, axis=1)
@@ -185,7 +221,7 @@ def _inverse_normal(columns: FloatArray) -> FloatArray:
     scaled = normal / (size[:, :, None] * size[:, None, :])
     # a correlation within 1e-13 of one is beyond double precision
     solvable &= np.linalg.det(scaled) > 1e-13
-    scaled[~solvable] = np.eye(3)
+    scaled[~solvable] = np.eye(columns.shape[1])
     inverse = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
     inverse[~solvable] = np.nan
     return np.asarray(inverse)
@@ -220,11 +256,41 @@ def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
     return exponent, settled
 
 
-def _slope_and_exponent_gain(spectra: _Spectra, state: _State, slope: FloatArray) -> FloatArray:
-    """[2, points, wavelengths] derivative of slope and exponent by the weighted data."""
-    gain = _inverse_normal(state.columns) @ state.columns
+def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, _State, BoolArray]:
+    """Exponents, state and whether it converged, of lmfit's Levenberg-Marquardt on each spectrum from m = 0, p = 1."""
+    import lmfit  # noqa: PLC0415  (takes most of a second)
+
+    low, high = EXPONENT_BOUNDS
+    found = np.empty((3, spectra.values.shape[0]))
+    converged = np.zeros(spectra.values.shape[0], dtype=bool)
+    for point, (values, weight, logarithm) in enumerate(
+        zip(spectra.values, spectra.root_weight, spectra.log_fresnel, strict=True)
+    ):
+
+        def residual(
+            p: lmfit.Parameters, values: FloatArray = values, weight: FloatArray = weight, log_f: FloatArray = logarithm
+        ) -> FloatArray:
+            model = p["a"].value * (1 + p["m"].value * spectra.x) * np.exp(p["p"].value * log_f)
+            return np.asarray(weight * (model - values))
+
+        parameters = lmfit.Parameters()
+        parameters.add("a", value=float(values @ weight**2 / (weight @ weight)))
+        parameters.add("m", value=0.0)
+        parameters.add("p", value=1.0, min=low, max=high)
+        result = lmfit.minimize(residual, parameters, calc_covar=False, ftol=1e-15, xtol=1e-15, gtol=1e-15)
+        found[:, point] = [result.params[name].value for name in ("a", "m", "p")]
+        # MINPACK's 6 to 8 say that rounding stops any further descent, as these tolerances want it
+        converged[point] = result.ier in {1, 2, 3, 4, 6, 7, 8}
+    scale, slope, exponent = found
+    return exponent, _state(spectra, exponent, scale, scale * slope), converged
+
+
+def _slope_and_exponent_gain(spectra: _Spectra, state: _State, slope: FloatArray, fresnel: bool) -> FloatArray:
+    """[2, points, wavelengths] derivative of slope and exponent by the weighted data; 0 of an exponent that is held."""
+    columns = state.columns if fresnel else state.columns[:, :2]
+    gain = _inverse_normal(columns) @ columns
     of_slope = _ratio(gain[:, 1] - slope[:, None] * gain[:, 0], np.broadcast_to(state.scale[:, None], gain[:, 0].shape))
-    return np.stack([of_slope, gain[:, 2]])
+    return np.stack([of_slope, gain[:, 2] if fresnel else np.zeros_like(of_slope)])
 
 
 def _r2(spectra: _Spectra, fitted: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from html import escape
 import numpy as np
 
 from analysis import figures
-from analysis.identify import lobe_width
+from analysis.distributions import lobe_width
 from analysis.notation import roughly, uncertainty, with_uncertainty
 from analysis.page import figure
 from analysis.results import SampleAnalysis
