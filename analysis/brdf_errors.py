@@ -10,12 +10,15 @@ from analysis.directions import Aperture
 from analysis.loew import LoewData
 from analysis.microfacet import View, view
 from analysis.propagation import covariance_by_part, errors_of_data
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.uncertainty import ErrorSource, everywhere
 
-_WORST_CONDITION = 1e12
-"""Of the scaled normal matrix, beyond which its parameters cannot be told apart in double precision."""
+_LEAST_EIGENVALUE = 1e-12
+"""Of the normal matrix scaled to a unit diagonal, below which its direction is lost in double precision."""
+
+_LEAST_SHARE = 1e-6
+"""Share of a lost direction that makes a parameter undetermined."""
 
 
 def residual_errors(
@@ -84,43 +87,50 @@ def _angle_errors(
     )
 
 
-def parameter_gain(near: Linearised, data: LoewData, parameters: FloatArray, free: int) -> FloatArray | None:
-    """[free, points, wavelengths] derivative of the first `free` parameters by the unweighted residuals.
+def parameter_gain(near: Linearised, data: LoewData, parameters: FloatArray, free: int) -> tuple[FloatArray, BoolArray]:
+    """[free, points, wavelengths] derivative of the first `free` parameters by the data, and which are determined.
 
-    None where they cannot be told apart. To first order, from the normal equations at the minimum.
+    To first order, from the normal equations at the minimum. Parameters that the data do not tell apart, or that have
+    no effect, are not determined; what is given for them means nothing.
     """
     flat = near.jacobian[:free].reshape(free, -1)
     size = np.linalg.norm(flat, axis=1)
     scaled = flat / np.where(size > 0, size, 1.0)[:, None]
-    normal = scaled @ scaled.T
-    if np.any(size == 0) or np.linalg.cond(normal) > _WORST_CONDITION:
-        return None
-    gain = (np.linalg.solve(normal, scaled) / size[:, None]).reshape(near.jacobian[:free].shape) * data.root_weight
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    lost = values < _LEAST_EIGENVALUE
+    determined = (size > 0) & (np.sum(vectors[:, lost] ** 2, axis=1) < _LEAST_SHARE)
+    inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
+    gain = (inverse @ scaled / np.where(size > 0, size, 1.0)[:, None]).reshape(near.jacobian[:free].shape)
+    gain *= data.root_weight
     gain[0] *= parameters[0]
-    return np.asarray(gain)
+    return gain, determined
 
 
 def parameter_covariances(
     near: Linearised, data: LoewData, parameters: FloatArray, free: int, errors: tuple[ErrorSource, ...]
 ) -> dict[str, FloatArray]:
-    """[free, free] covariance of the first `free` parameters by part of the budget; infinite where undetermined."""
-    gain = parameter_gain(near, data, parameters, free)
-    if gain is None:
-        return {"random": np.full((free, free), math.inf)}
-    return covariance_by_part(gain, errors)
+    """[free, free] covariance of the first `free` parameters by part of the budget.
+
+    A parameter that is not determined has an infinite variance and is correlated with nothing.
+    """
+    gain, determined = parameter_gain(near, data, parameters, free)
+    by_part = covariance_by_part(gain, errors)
+    for covariance in by_part.values():
+        covariance[~determined, :] = 0.0
+        covariance[:, ~determined] = 0.0
+        covariance[~determined, ~determined] = math.inf
+    return by_part
 
 
 def albedo_uncertainty(
     near: Linearised, data: LoewData, parameters: FloatArray, free: int, errors: tuple[ErrorSource, ...]
 ) -> FloatArray:
-    """[wavelengths] standard uncertainty of the diffuse albedo, by all `errors`; infinite where it is not determined.
+    """[wavelengths] standard uncertainty of the diffuse albedo, by all `errors`; infinite where it stands at 0.
 
     An error moves the albedo of its wavelength, and that of all wavelengths through the other parameters.
     """
-    gain = parameter_gain(near, data, parameters, free)
+    gain, _ = parameter_gain(near, data, parameters, free)
     size = np.sum(near.by_albedo**2, axis=0)
-    if gain is None:
-        return np.full(size.size, math.inf)
     own = data.root_weight * near.by_albedo / np.where(size > 0, size, 1.0)
     in_search = near.full_jacobian[:free] / np.where(np.arange(free) == 0, parameters[0], 1.0)[:, None, None]
     through = np.einsum("kpw,pw->kw", in_search, near.by_albedo) / np.where(size > 0, size, 1.0)

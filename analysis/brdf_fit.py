@@ -65,6 +65,11 @@ class _Found:
     """[free, free] by part of the budget."""
 
 
+def form_of(model: str, conductor: Conductor | None, distribution: Distribution) -> Form:
+    """What the name of a model, one of `BRDF_MODELS`, stands for; `conductor` is None for a dielectric."""
+    return Form(conductor, _SHIFTS[model], distribution)
+
+
 def brdf_fit(
     dataset: Dataset,
     model: str = "cook-torrance-shift",
@@ -89,8 +94,7 @@ def brdf_fit(
     """
     if model not in _SHIFTS:
         raise FitError(f'There is no microfacet model "{model}"; there are {", ".join(BRDF_MODELS)}.')
-    surface = None if model.startswith("dielectric") else conductor or load_conductor()
-    form = Form(surface, _SHIFTS[model], distribution)
+    form = form_of(model, None if model.startswith("dielectric") else conductor or load_conductor(), distribution)
     data = loew_data(dataset, weight)
     starts = find_starts(form, data)
     start = starts.parameters[0]
@@ -152,7 +156,7 @@ def _result(
     covariance[: found.free, : found.free] = inflation**2 * np.sum(list(found.covariances.values()), axis=0)
     sigma = np.sqrt(np.diag(covariance))
     of_residuals = structure(residual, valid, errors, data.theta_in, data.theta_out)
-    shares = [errors_by_part(found.covariances, i, inflation) if i < found.free else {} for i in range(count)]
+    shares = [errors_by_part(found.covariances, i, inflation) if math.isfinite(sigma[i]) else {} for i in range(count)]
     verdict = judge(
         Evidence(
             dataset=dataset,

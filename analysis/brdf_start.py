@@ -170,6 +170,8 @@ def _same(form: Form, one: FloatArray, other: FloatArray) -> bool:
     """Whether two ends are one minimum: within a twentieth, or without a shift that w could describe."""
     shift = form.first_of_shift
     close = np.abs(one - other) <= 0.05 * (0.1 + np.abs(one))
+    if form.shift == "two-component" and max(one[-2], other[-2]) < 0.05:
+        close[-2:] = True  # without sharpness the threshold means nothing
     if form.shift != "none" and max(abs(one[shift]), abs(other[shift])) < 0.05:
         close[shift:] = True
     return bool(close.all())

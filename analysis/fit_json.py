@@ -14,12 +14,26 @@ from typing import Any, cast
 
 import numpy as np
 
+from analysis.brdf_fit import form_of
 from analysis.directions import in_plane
-from analysis.errors import ExportError
-from analysis.fresnel import Conductor, fresnel_conductor
-from analysis.models import cook_torrance, cosine_slope, shift, theta_m
+from analysis.distributions import Distribution
+from analysis.errors import ExportError, OutOfRange
+from analysis.fresnel import Conductor
+from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
+from analysis.least_squares import Engine
+from analysis.microfacet import brdf
+from analysis.models import normalised_fresnel, shift
 from analysis.noise import flag_words
-from analysis.results import ColourDifferences, LocalFit, ModelFit, Parameter, SampleAnalysis, Verdict
+from analysis.results import (
+    Albedo,
+    ColourDifferences,
+    Comparison,
+    LocalFit,
+    ModelFit,
+    Parameter,
+    SampleAnalysis,
+    Verdict,
+)
 from drivers.arrays import FloatArray
 from goniometer.dataset import MEANING, Dataset
 from goniometer.errors import InputError
@@ -28,7 +42,7 @@ from goniometer.uncertainty import PARTS
 
 FIT_SCHEMA = "goniometer-fit"
 ANALYSIS_SCHEMA = "goniometer-analysis"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _NOTE = (
     'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
@@ -44,14 +58,21 @@ class StoredFit:
     """A fit as it comes back from a file."""
 
     model: str
-    """"global", "cook-torrance" or "cook-torrance-shift"."""
+    """One of `analysis.fits.MODELS`, "local" excepted."""
     equation: str
+    engine: Engine
+    distribution: Distribution | None
+    """Of the normals; None for a model that has none."""
     parameters: tuple[Parameter, ...]
     correlation: FloatArray
     """[parameters, parameters]"""
     verdict: Verdict
+    comparison: Comparison | None
+    """With the next simpler model, if there is one."""
     cost: str
     cost_value: float
+    independent: float
+    """As how many independent ones the residuals count."""
     r2: float
     lambda_n: float
     """Normalisation wavelength, nm."""
@@ -69,7 +90,10 @@ class StoredFit:
     """Full angle of the detector aperture that the fit took into account, degrees."""
     colour_difference: dict[str, dict[str, float]]
     """Mean, median, p95 and max CIEDE2000, "absolute" and "chromatic"."""
-    conductor: Conductor
+    conductor: Conductor | None
+    """None for a model that needs none."""
+    albedo: Albedo | None
+    """Diffuse albedo of a dielectric."""
     software: str
     """Version that wrote the file."""
 
@@ -81,24 +105,41 @@ class StoredFit:
 def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
     """Values [points, wavelengths] of a stored model at in-plane directions [points], degrees, and nm.
 
-    1/sr for Cook-Torrance, without an aperture; for the global model a pure number, one at lambda_n (Eq. 3).
-    Raises `OutOfRange` beyond the conductor's table.
+    1/sr for a microfacet model, without an aperture; for a model of the slopes a pure number, one at lambda_n (Eq. 3).
+    Raises `OutOfRange` beyond the conductor's table, or the wavelengths at which the albedo of a dielectric is known.
     """
     directions = in_plane(theta_in, theta_out)
-    if fit.model == "global":
-        n, k = fit.conductor.index(np.append(wavelengths, fit.lambda_n))
-        fresnel = fresnel_conductor(directions.cos_i[:, None], n, k)
-        slope = cosine_slope(theta_m(directions), fit.value("h"), fit.value("w"), fit.value("t_y"))
-        tilt = shift(slope, wavelengths, fit.lambda_n)
-        return np.asarray(tilt * (fresnel[:, :-1] / fresnel[:, -1:]) ** fit.value("p"))
-    h, w = (fit.value("h"), fit.value("w")) if fit.model == "cook-torrance-shift" else (0.0, 0.0)
-    return cook_torrance(directions, wavelengths, fit.value("alpha"), fit.conductor, h, w)
+    parameters = np.array([parameter.value for parameter in fit.parameters])
+    if fit.model in SLOPE_MODELS:
+        own = parameters if fit.conductor is None else parameters[:-1]
+        tilt = shift(slope_and_derivative(fit.model, directions, own)[0], wavelengths, fit.lambda_n)
+        if fit.conductor is None:
+            return tilt
+        fresnel = normalised_fresnel(theta_in, wavelengths, fit.conductor, fit.lambda_n)
+        return np.asarray(tilt * fresnel ** fit.value("p"))
+    form = form_of(fit.model, fit.conductor, fit.distribution or "ggx")
+    albedo = None if fit.albedo is None else _albedo_at(fit.albedo, wavelengths)
+    return brdf(form, directions, wavelengths, parameters, albedo)
+
+
+def _albedo_at(albedo: Albedo, wavelengths: FloatArray) -> FloatArray:
+    """[wavelengths] r_d, interpolated linearly."""
+    low, high = float(albedo.wavelengths[0]), float(albedo.wavelengths[-1])
+    if wavelengths.min() < low or wavelengths.max() > high:
+        raise OutOfRange(
+            f"The diffuse albedo is known from {low:g} to {high:g} nm, but {wavelengths.min():g} to "
+            f"{wavelengths.max():g} nm was asked for; leave the rest out."
+        )
+    return np.interp(wavelengths, albedo.wavelengths, albedo.values)
 
 
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
-    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with."""
+    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with, the latter where it was needed."""
+    needed = fit.albedo is None and any(p.name in {"p", "alpha"} for p in fit.parameters)
     return strict_json(
-        _head(FIT_SCHEMA) | _fit_part(fit, dataset, differences) | {"conductor": _conductor_part(conductor)}
+        _head(FIT_SCHEMA)
+        | _fit_part(fit, dataset, differences)
+        | ({"conductor": _conductor_part(conductor)} if needed else {})
     )
 
 
@@ -154,9 +195,10 @@ def _head(schema: str) -> dict[str, Any]:
 
 
 def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
-    return {
+    found = {
         "model": fit.model,
         "equation": fit.equation,
+        "engine": fit.engine,
         "lambda_n_nm": fit.lambda_n,
         "parameters": [
             {
@@ -169,7 +211,12 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
             for p in fit.parameters
         ],
         "correlation": fit.correlation.tolist(),
-        "verdict": {"trusted": fit.verdict.trusted, "reasons": list(fit.verdict.reasons)},
+        "verdict": {
+            "trusted": fit.verdict.trusted,
+            "reasons": list(fit.verdict.reasons),
+            "undetermined": list(fit.verdict.undetermined),
+            "converged": fit.verdict.converged,
+        },
         "fitted_to": {
             "sample": dataset.sample,
             "dataset_sha256": dataset.content_hash,
@@ -181,18 +228,35 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
         },
         "metrics": {
             "cost": {"name": fit.cost, "value": fit.cost_value},
+            "independent_residuals": fit.independent,
             "r2": fit.r2,
             "clamped_points": fit.clamped_points,
             "dE00": {kind: differences.statistics(kind) for kind in ("absolute", "chromatic")},
         },
     }
+    if fit.distribution is not None:
+        found["distribution"] = fit.distribution
+    if fit.comparison is not None:
+        found["comparison"] = {
+            "simpler_model": fit.comparison.simpler,
+            "BIC_falls_by": fit.comparison.bic,
+            "mean_dE00_falls_by": fit.comparison.dE00,
+        }
+    if fit.albedo is not None:
+        found["albedo"] = {
+            "wavelength_nm": fit.albedo.wavelengths.tolist(),
+            "r_d": fit.albedo.values.tolist(),
+            "u_r_d": fit.albedo.u.tolist(),
+        }
+    return found
 
 
 def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
     pairs = zip(dataset.theta_in.tolist(), dataset.theta_out.tolist(), strict=True)
     seen = ~np.array([Geometry(*pair).blocked for pair in pairs], dtype=bool)
     return {
-        "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2",
+        "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2"
+        + ("" if local.fresnel else ", p held at 0"),
         "lambda_n_nm": local.lambda_n,
         "theta_in_deg": dataset.theta_in[seen].tolist(),
         "theta_out_deg": dataset.theta_out[seen].tolist(),
@@ -218,7 +282,7 @@ def _conductor_part(conductor: Conductor) -> dict[str, Any]:
 
 
 def _stored_fit(document: dict[str, Any]) -> StoredFit:
-    fitted_to, metrics, conductor = document["fitted_to"], document["metrics"], document["conductor"]
+    fitted_to, metrics, verdict = document["fitted_to"], document["metrics"], document["verdict"]
     low_in, high_in = (float(v) for v in fitted_to["theta_in_deg"])
     low_out, high_out = (float(v) for v in fitted_to["theta_out_deg"])
     shortest, longest = (float(v) for v in fitted_to["wavelength_nm"])
@@ -235,11 +299,20 @@ def _stored_fit(document: dict[str, Any]) -> StoredFit:
     return StoredFit(
         model=str(document["model"]),
         equation=str(document["equation"]),
+        engine=document["engine"],
+        distribution=document.get("distribution"),
         parameters=parameters,
         correlation=np.array(document["correlation"], dtype=float).reshape(len(parameters), len(parameters)),
-        verdict=Verdict(bool(document["verdict"]["trusted"]), tuple(map(str, document["verdict"]["reasons"]))),
+        verdict=Verdict(
+            bool(verdict["trusted"]),
+            tuple(map(str, verdict["reasons"])),
+            tuple(map(str, verdict["undetermined"])),
+            bool(verdict["converged"]),
+        ),
+        comparison=_stored_comparison(document["comparison"]) if "comparison" in document else None,
         cost=str(metrics["cost"]["name"]),
         cost_value=float(metrics["cost"]["value"]),
+        independent=float(metrics["independent_residuals"]),
         r2=float(metrics["r2"]),
         lambda_n=float(document["lambda_n_nm"]),
         theta_range=(low_in, high_in, low_out, high_out),
@@ -252,14 +325,24 @@ def _stored_fit(document: dict[str, Any]) -> StoredFit:
         colour_difference={
             kind: {name: float(v) for name, v in values.items()} for kind, values in metrics["dE00"].items()
         },
-        conductor=Conductor(
-            str(conductor["name"]),
-            np.array(conductor["wavelength_nm"], dtype=float),
-            np.array(conductor["n"], dtype=float),
-            np.array(conductor["k"], dtype=float),
-        ),
+        conductor=_stored_conductor(document["conductor"]) if "conductor" in document else None,
+        albedo=_stored_albedo(document["albedo"]) if "albedo" in document else None,
         software=str(document["software"]["version"]),
     )
+
+
+def _stored_comparison(part: dict[str, Any]) -> Comparison:
+    return Comparison(str(part["simpler_model"]), float(part["BIC_falls_by"]), float(part["mean_dE00_falls_by"]))
+
+
+def _stored_conductor(part: dict[str, Any]) -> Conductor:
+    wavelengths, n, k = (np.array(part[name], dtype=float) for name in ("wavelength_nm", "n", "k"))
+    return Conductor(str(part["name"]), wavelengths, n, k)
+
+
+def _stored_albedo(part: dict[str, Any]) -> Albedo:
+    wavelengths, values, u = (np.array(part[name], dtype=float) for name in ("wavelength_nm", "r_d", "u_r_d"))
+    return Albedo(wavelengths, values, u)
 
 
 def _document(text: str, schema: str) -> dict[str, Any]:

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.stats import f as f_distribution
-
 from analysis.noise import flag_sentences
 from analysis.results import Verdict
 from analysis.structure import Structure
@@ -46,29 +43,8 @@ class SlopeEvidence:
 
 def judge_slopes(evidence: SlopeEvidence) -> Verdict:
     """The verdict: what speaks against the fit first, then what a reader should know besides."""
-    against, undetermined = ([], ()) if evidence.model == "constant-slope" else _against(evidence)
-    return Verdict(not against, (*against, *_notes(evidence)), undetermined)
-
-
-def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
-    """What speaks against h, w and the others, and which of them mean nothing."""
-    free = sum(name != "p" for name in evidence.names)
-    left = evidence.slopes - free
-    gained = (evidence.chi2_constant - evidence.chi2) / (free - 1)
-    f_value = gained / (evidence.chi2 / left) if evidence.chi2 > 0 else np.inf
-    # w is free only under the cosine; the search tries about this many independent ones, each a chance to fool it
-    trials = max(1.0, evidence.w_bounds[1] * evidence.largest_theta_m / np.pi)
-    probability = min(1.0, trials * float(f_distribution.sf(f_value, free - 1, left)))
-    value, u = (
-        dict(zip(evidence.names, evidence.values, strict=True)),
-        dict(zip(evidence.names, evidence.u, strict=True)),
-    )
-    h, w = float(value["h"]), float(value["w"])
-    low, high = evidence.w_bounds
-    against, undetermined = (
-        [],
-        [name for name in ("kappa", "sharpness", "threshold") if name in value and not _known(name, value, u)],
-    )
+    against: list[str] = []
+    undetermined = [name for name in evidence.names if not _known(name, value, u)]
     if probability > _SIGNIFICANCE:
         against.append(
             f"The slopes are explained as well by a constant (F-test, p = {probability:.2g}), so h and w mean nothing."
@@ -92,9 +68,11 @@ def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
 
 
 def _known(name: str, value: dict[str, float], u: dict[str, float]) -> bool:
-    """Whether kappa, sharpness or threshold is known well enough to be of use."""
-    absolute, relative = {"kappa": (0.3, 0.33), "sharpness": (1.0, 0.5), "threshold": (0.3, 0.33)}[name]
-    return bool(u[name] <= absolute + relative * abs(value[name]))
+    """Whether a parameter of a two-component slope is known well enough to be of use."""
+    if name not in {"kappa", "sharpness", "threshold"}:
+        return True
+    absolute, relative = (1.0, 0.5) if name == "sharpness" else (0.3, 0.33)
+    return u[name] <= absolute + relative * abs(value[name])
 
 
 def _notes(evidence: SlopeEvidence) -> list[str]:

@@ -121,8 +121,8 @@ def _outside_the_data(evidence: Evidence) -> list[str]:
     reasons = []
     if nearest > 0.5 * max(width, dataset.aperture):
         reasons.append(
-            f"The lobe is {width:.2g} deg wide, but the direction measured nearest to the mirror's is {nearest:.2g} deg "
-            "away from it, so alpha is an extrapolation."
+            f"The lobe is {width:.2g} deg wide, but the direction measured nearest to the mirror's is {nearest:.2g} "
+            "deg away from it, so alpha is an extrapolation."
         )
     at_bound = [
         quantity.name

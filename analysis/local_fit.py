@@ -70,10 +70,10 @@ def local_fit(
     """Fit Eq. 2 to every spectrum of `dataset`, weighted by the noise of its counts (`dataset.u_counts`).
 
     `conductor` is aluminium unless given; without `fresnel` the exponent p is held at 0, as for a dielectric whose
-    reflectance knows no wavelength (section 5.6), and the conductor is not asked. The uncertainty of the slope follows from all errors of the measurement
-    by the delta method, those that wavelengths share included. A spectrum with fewer than five valid wavelengths
-    gets NaN. Unreliable are points that are not usable (`dataset.usable`), those whose median signal is below its
-    noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
+    reflectance knows no wavelength (section 5.6), and the conductor is not asked. The uncertainty of the slope follows
+    from all errors of the measurement by the delta method, those that wavelengths share included. A spectrum with
+    fewer than five valid wavelengths gets NaN. Unreliable are points that are not usable (`dataset.usable`), those
+    whose median signal is below its noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
     Both engines find the same: slopes agree to 1e-7 of 1/um where the spectrum determines them.
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """

@@ -115,11 +115,6 @@ class View:
     wavelengths: FloatArray
     """[wavelengths] nm."""
 
-    def slope(self, parameters: FloatArray) -> FloatArray:
-        """[points] slope of the shift as the aperture sees it, 1/um."""
-        level, tilt = self.level_and_tilt(parameters)
-        return np.asarray(tilt / np.where(level > 0, level, 1.0))
-
     def surface(self, parameters: FloatArray) -> FloatArray:
         """[points, wavelengths] cos(theta_in) f of the surface alone."""
         fresnel, slope = self.fresnel, None
@@ -154,6 +149,29 @@ class View:
             self.weights,
         )
         return self.cos_in * value, self.cos_in * jacobian
+
+
+def brdf(
+    form: Form,
+    directions: Directions,
+    wavelengths: FloatArray,
+    parameters: FloatArray,
+    albedo: FloatArray | None = None,
+) -> FloatArray:
+    """The model at `directions` [...] without an aperture, 1/sr, [..., wavelengths]; `albedo` [wavelengths].
+
+    Raises `OutOfRange` for wavelengths, nm, beyond the conductor's table.
+    """
+    if form.conductor is None:
+        fresnel = fresnel_dielectric(directions.cos_d[..., None], float(parameters[1]))
+    else:
+        fresnel = fresnel_conductor(directions.cos_d[..., None], *form.conductor.index(wavelengths))
+    slope = None if form.shift == "none" else slope_of(form, directions, parameters)
+    surface = microfacet(directions, wavelengths, float(parameters[0]), fresnel, slope, form.distribution)
+    if albedo is None:
+        return surface
+    above = (directions.cos_i > 0) & (directions.cos_o > 0)
+    return np.asarray(surface + above[..., None] * albedo / math.pi)
 
 
 def slope_of(form: Form, directions: Directions, parameters: FloatArray) -> FloatArray:
@@ -228,7 +246,7 @@ def best_albedo(
     size = np.sum(gain**2, axis=0)
     size = np.where(size > 0, size, 1.0)
     missing = root_weight / np.exp(log_measured) * (np.expm1(log_measured) - surface)
-    albedo = np.maximum(np.sum(gain * missing, axis=0) / size, 0.0)
+    albedo: FloatArray = np.maximum(np.sum(gain * missing, axis=0) / size, 0.0)
     for _ in range(_ALBEDO_STEPS):
         value = surface + each * albedo
         residual = root_weight * (np.log1p(value) - log_measured)

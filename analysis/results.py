@@ -167,7 +167,7 @@ class SampleAnalysis:
     dataset: Dataset
     local: LocalFit
     models: tuple[ModelFit, ...]
-    """Global, Cook-Torrance, Cook-Torrance times shift, in this order."""
+    """In the order in which they were asked for."""
     differences: dict[str, ColourDifferences]
     """By model name, and "local"."""
 

@@ -38,7 +38,7 @@ class Agreement:
     def structured(self) -> bool:
         """Whether neighbours agree by more than their stated errors and chance explain."""
         chance = _CHANCE * (1 + self.expected) / np.sqrt(max(self.pairs, 1))
-        return self.found > LARGEST_AGREEMENT * self.expected + chance
+        return bool(self.found > LARGEST_AGREEMENT * self.expected + chance)
 
 
 @dataclass(frozen=True)
