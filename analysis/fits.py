@@ -73,7 +73,7 @@ def fit_models(
 def local_fit_for(
     dataset: Dataset, models: tuple[str, ...], conductor: Conductor | None = None, engine: Engine = "fast"
 ) -> LocalFit:
-    """The local fit that goes with `models`: without Fresnel term (section 5.6) where all of them are of a dielectric."""
+    """The local fit for `models`: without Fresnel term (section 5.6) where all of them are of a dielectric."""
     of_dielectric = bool(models) and all(model.startswith("dielectric") for model in models)
     return local_fit(dataset, conductor, engine=engine, fresnel=not of_dielectric)
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.stats import f as f_distribution
+
 from analysis.noise import flag_sentences
 from analysis.results import Verdict
 from analysis.structure import Structure
@@ -43,6 +46,23 @@ class SlopeEvidence:
 
 def judge_slopes(evidence: SlopeEvidence) -> Verdict:
     """The verdict: what speaks against the fit first, then what a reader should know besides."""
+    against, undetermined = ([], ()) if evidence.model == "constant-slope" else _against(evidence)
+    return Verdict(not against, (*against, *_notes(evidence)), undetermined)
+
+
+def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
+    """What speaks against h, w and the others, and which of them mean nothing."""
+    free = sum(name != "p" for name in evidence.names)
+    left = evidence.slopes - free
+    gained = (evidence.chi2_constant - evidence.chi2) / (free - 1)
+    f_value = gained / (evidence.chi2 / left) if evidence.chi2 > 0 else np.inf
+    # w is free only under the cosine; the search tries about this many independent ones, each a chance to fool it
+    trials = max(1.0, evidence.w_bounds[1] * evidence.largest_theta_m / np.pi)
+    probability = min(1.0, trials * float(f_distribution.sf(f_value, free - 1, left)))
+    value = dict(zip(evidence.names, map(float, evidence.values), strict=True))
+    u = dict(zip(evidence.names, map(float, evidence.u), strict=True))
+    h, w = value["h"], value["w"]
+    low, high = evidence.w_bounds
     against: list[str] = []
     undetermined = [name for name in evidence.names if not _known(name, value, u)]
     if probability > _SIGNIFICANCE:

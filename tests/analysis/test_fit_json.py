@@ -10,10 +10,11 @@ import pytest
 from analysis.analyse import analyse
 from analysis.directions import in_plane
 from analysis.errors import ExportError
-from analysis.fit_json import analysis_to_json, evaluate, fit_from_json, fit_to_json
+from analysis.fit_json import analysis_to_json, fit_from_json, fit_to_json
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
 from analysis.results import Parameter, SampleAnalysis, Verdict
+from analysis.stored_fit import evaluate
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.errors import InputError
 
@@ -104,8 +105,8 @@ def test_what_is_not_determined_survives_strict_json(rough_analysis: SampleAnaly
         ("[1, 2]", "JSON object"),
         ('{"schema": "something-else"}', '"goniometer-fit"'),
         ('{"schema": "goniometer-fit", "schema_version": 99}', "schema version 99"),
-        ('{"schema": "goniometer-fit", "schema_version": 2}', "is missing"),
-        ('{"schema": "goniometer-fit", "schema_version": 2, "r2": NaN}', "NaN is not JSON"),
+        ('{"schema": "goniometer-fit", "schema_version": 3}', "is missing"),
+        ('{"schema": "goniometer-fit", "schema_version": 3, "r2": NaN}', "NaN is not JSON"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(text: str, complaint: str) -> None:
