@@ -12,9 +12,10 @@ from itertools import product
 import numpy as np
 
 from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
+from analysis.fresnel import fresnel_dielectric
 from analysis.least_squares import minimise
 from analysis.loew import LoewData
-from analysis.microfacet import LARGEST_W, Form, View, aperture_for, view
+from analysis.microfacet import LARGEST_W, Form, View, aperture_for, regressed_albedo, view
 from drivers.arrays import BoolArray, FloatArray
 
 SCANNED_ALPHAS = np.geomspace(0.002, 1.0, 32)
@@ -54,7 +55,7 @@ def find_starts(form: Form, data: LoewData) -> Starts:
     found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, seen, coarse)]
     if form.shift == "cosine":
         found = [end for start, _ in found for end in _follow_w(form, coarse, start)]
-    return Starts(_distinct(form, found, coarse.theta_in.size), _view(form, data, _best(found)))
+    return _starts(form, data, coarse, found)
 
 
 def _two_component_starts(form: Form, data: LoewData) -> Starts:
@@ -66,7 +67,7 @@ def _two_component_starts(form: Form, data: LoewData) -> Starts:
         _descend(seen, coarse, np.concatenate([cosine, [0.0, kappa, sharpness, 0.0]]))
         for kappa, sharpness in _TWO_COMPONENT_STARTS
     ]
-    return Starts(_distinct(form, found, coarse.theta_in.size), _view(form, data, _best(found)))
+    return _starts(form, data, coarse, found)
 
 
 def _some_wavelengths(data: LoewData) -> LoewData:
@@ -99,8 +100,19 @@ def _scan_lobe(form: Form, seen: View, data: LoewData) -> list[FloatArray]:
     if form.conductor is not None:
         costs = np.array([[_cost(seen, data, np.array([alpha]))] for alpha in SCANNED_ALPHAS])
         return [SCANNED_ALPHAS[[i]] for i, _ in _minima(costs)]
-    costs = np.array([[_cost(seen, data, np.array([alpha, eta])) for eta in _ETAS] for alpha in SCANNED_ALPHAS])
+    costs = np.empty((SCANNED_ALPHAS.size, _ETAS.size))
+    reflectances = [fresnel_dielectric(seen.cos_d, eta) for eta in _ETAS]
+    for i, alpha in enumerate(SCANNED_ALPHAS):
+        lobe = seen.surface(np.array([alpha, _ETAS[0]])) / reflectances[0]
+        costs[i] = [_cost_of_dielectric(lobe * reflectance, seen, data) for reflectance in reflectances]
     return [np.array([SCANNED_ALPHAS[i], _ETAS[j]]) for i, j in _minima(costs)]
+
+
+def _cost_of_dielectric(surface: FloatArray, seen: View, data: LoewData) -> float:
+    """Of a surface with the albedo of a linear regression, which is close enough to find a start."""
+    albedo = regressed_albedo(surface, seen.cos_in, data.log_measured, data.root_weight)
+    value = np.log1p(surface + seen.cos_in / math.pi * albedo)
+    return float(np.sum((data.root_weight * (value - data.log_measured)) ** 2))
 
 
 def _cost(seen: View, data: LoewData, parameters: FloatArray) -> float:
@@ -151,27 +163,18 @@ def _descend(seen: View, data: LoewData, start: FloatArray) -> tuple[FloatArray,
     return from_search(end.parameters), end.cost
 
 
-def _best(found: list[tuple[FloatArray, float]]) -> FloatArray:
-    return min(found, key=lambda end: end[1])[0]
+def _starts(form: Form, data: LoewData, coarse: LoewData, found: list[tuple[FloatArray, float]]) -> Starts:
+    """The ends that are as good as the best within the noise, the best first, one of each minimum.
 
-
-def _distinct(form: Form, found: list[tuple[FloatArray, float]], points: int) -> tuple[FloatArray, ...]:
-    """The ends that are as good as the best within the noise, without those that are the same."""
+    Two ends are of one minimum where the cost midway between them is as good, too: a valley is not two minima.
+    """
     ordered = sorted(found, key=lambda end: end[1])
-    limit = ordered[0][1] * (1 + _WITHIN_NOISE / max(points - len(form.quantities), 1))
-    kept: list[FloatArray] = []
-    for end, cost in ordered:
-        if cost <= limit and not any(_same(form, end, other) for other in kept):
+    best, lowest = ordered[0]
+    limit = lowest * (1 + _WITHIN_NOISE / max(coarse.theta_in.size - len(form.quantities), 1))
+    seen = _view(form, coarse, best)
+    kept = [best]
+    for end, cost in ordered[1:]:
+        midway = [from_search(0.5 * (to_search(end) + to_search(other))) for other in kept]
+        if cost <= limit and all(_cost(seen, coarse, between) > limit for between in midway):
             kept.append(end)
-    return tuple(kept)
-
-
-def _same(form: Form, one: FloatArray, other: FloatArray) -> bool:
-    """Whether two ends are one minimum: within a twentieth, or without a shift that w could describe."""
-    shift = form.first_of_shift
-    close = np.abs(one - other) <= 0.05 * (0.1 + np.abs(one))
-    if form.shift == "two-component" and max(one[-2], other[-2]) < 0.05:
-        close[-2:] = True  # without sharpness the threshold means nothing
-    if form.shift != "none" and max(abs(one[shift]), abs(other[shift])) < 0.05:
-        close[shift:] = True
-    return bool(close.all())
+    return Starts(tuple(kept), _view(form, data, best))

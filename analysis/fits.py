@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS, brdf_fit
+from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
 from analysis.colour import COLOUR_RANGE, colour_differences
+from analysis.directions import Directions
 from analysis.distributions import Distribution
 from analysis.errors import FitError
-from analysis.fresnel import Conductor
-from analysis.global_fit import global_fit
+from analysis.fresnel import Conductor, load_conductor
+from analysis.global_fit import SLOPE_MODELS, global_fit, slope_and_derivative
 from analysis.least_squares import Engine
 from analysis.local_fit import local_fit
 from analysis.loew import Weight
+from analysis.microfacet import slope_of
 from analysis.results import Comparison, LocalFit, ModelFit, Verdict
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -99,6 +101,15 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset) -> ModelFit:
         note = f"The simpler model {simpler.model} costs more but has the smaller colour difference ({evidence})."
         verdict = replace(verdict, reasons=(*verdict.reasons, note))
     return replace(fit, comparison=comparison, verdict=verdict)
+
+
+def fitted_slope(fit: ModelFit, directions: Directions) -> FloatArray:
+    """[...] slope of the shift that a fit gives at `directions` [...], 1/um; zero for a model without shift."""
+    parameters = np.array([parameter.value for parameter in fit.parameters if parameter.name != "p"])
+    if fit.model in SLOPE_MODELS:
+        return slope_and_derivative(fit.model, directions, parameters)[0]
+    form = form_of(fit.model, None if fit.albedo is not None else load_conductor(), fit.distribution or "ggx")
+    return slope_of(form, directions, parameters)
 
 
 def _against(verdict: Verdict) -> tuple[str, ...]:

@@ -69,7 +69,7 @@ def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
         against.append(
             f"The slopes are explained as well by a constant (F-test, p = {probability:.2g}), so h and w mean nothing."
         )
-        undetermined = [name for name in evidence.names if name not in {"t_y", "p"}]
+        undetermined = [name for name in evidence.names if name != "p"]
     # at its lower bound w is not determined, whatever its linear error says
     elif not (w > low * 1.001 and abs(h) > 3 * u["h"] and w > 3 * u["w"]):
         against.append(

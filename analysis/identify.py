@@ -89,8 +89,9 @@ def _undetermined(evidence: Evidence) -> tuple[str, ...]:
 
 
 def _h_is_zero(evidence: Evidence) -> bool:
+    """Whether there is no shift: h is known, and compatible with zero."""
     h, u_h = evidence.of("h")
-    return not abs(h) > 3 * u_h
+    return abs(h) <= 3 * u_h < 1
 
 
 def _against_the_optimiser(evidence: Evidence) -> list[str]:

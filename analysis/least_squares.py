@@ -20,7 +20,7 @@ Engine = Literal["fast", "lmfit"]
 _ITERATIONS = 200
 _EVALUATIONS = 2000
 _STEP_TOLERANCE = 1e-9
-_COST_TOLERANCE = 1e-13
+_COST_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -61,34 +61,34 @@ def minimise(problem: SumOfSquares, start: FloatArray, free: BoolArray, engine: 
 
 
 def _marquardt(problem: SumOfSquares, start: FloatArray, free: BoolArray) -> Minimum:
-    """Levenberg-Marquardt; a step that leads out of the bounds stops at them."""
-    parameters, damping = start.copy(), 1e-3
+    """Levenberg-Marquardt with Nielsen's damping (1999); a step that leads out of the bounds stops at them."""
+    parameters, damping, growth = start.copy(), 1e-3, 2.0
     residual, jacobian = problem.linearised(parameters)
     cost = float(residual @ residual)
     for _ in range(_ITERATIONS):
         some = _movable(problem, parameters, jacobian @ residual, free)
         if not some.any():
             return Minimum(parameters, cost, True, "all parameters stand at their bounds")
-        part = jacobian[some]
-        normal, gradient = part @ part.T, part @ residual
-        scale = np.where(np.diag(normal) > 0, np.diag(normal), 1.0)
+        normal, gradient = jacobian[some] @ jacobian[some].T, jacobian[some] @ residual
+        scale = np.diag(np.where(np.diag(normal) > 0, np.diag(normal), 1.0))
         while True:
             trial = parameters.copy()
-            trial[some] -= np.linalg.solve(normal + damping * np.diag(scale), gradient)
+            trial[some] -= np.linalg.solve(normal + damping * scale, gradient)
             trial = np.clip(trial, problem.lower, problem.upper)
-            step = trial - parameters
-            small = bool(np.all(np.abs(step) <= _STEP_TOLERANCE * (1e-3 + np.abs(parameters))))
+            step = (trial - parameters)[some]
+            small = bool(np.all(np.abs(step) <= _STEP_TOLERANCE * (1e-3 + np.abs(parameters[some]))))
             new_residual, new_jacobian = problem.linearised(trial)
-            new_cost = float(new_residual @ new_residual)
-            if new_cost <= cost:
+            gained = cost - float(new_residual @ new_residual)
+            if gained >= 0:
                 break
-            if small or damping > 1e12:
+            if small:
                 return Minimum(parameters, cost, True, "no smaller step descends")
-            damping *= 10
-        gained = cost - new_cost
-        parameters, residual, jacobian, cost = trial, new_residual, new_jacobian, new_cost
-        damping = max(0.1 * damping, 1e-12)
-        if small or gained <= _COST_TOLERANCE * cost:
+            damping, growth = damping * growth, 2 * growth
+        expected = -float(step @ (2 * gradient + normal @ step))
+        ratio = min(gained / expected, 1.0) if expected > 0 else 1.0
+        damping, growth = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0
+        parameters, residual, jacobian, cost = trial, new_residual, new_jacobian, cost - gained
+        if small or max(gained, expected) <= _COST_TOLERANCE * cost:
             return Minimum(parameters, cost, True, "the step or its gain is below what matters")
     return Minimum(parameters, cost, False, f"After {_ITERATIONS} steps the cost still fell.")
 

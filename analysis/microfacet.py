@@ -232,21 +232,32 @@ def aperture_for(alpha: float, full_angle: float) -> Aperture:
     return round_aperture(full_angle)
 
 
+def regressed_albedo(
+    surface: FloatArray, cos_in: FloatArray, log_measured: FloatArray, root_weight: FloatArray
+) -> FloatArray:
+    """[wavelengths] diffuse albedo, at least 0, of a linear regression of what a `surface` leaves.
+
+    `surface` [points, wavelengths] is cos(theta_in) f of the surface, `cos_in` [points, 1]. The logarithm of the cost
+    of Löw et al. is taken as straight at the measurement.
+    """
+    root = root_weight / np.exp(log_measured)
+    gain = root * (cos_in / math.pi)
+    missing = root * (np.expm1(log_measured) - surface)
+    size = np.sum(gain**2, axis=0)
+    albedo: FloatArray = np.maximum(np.sum(gain * missing, axis=0) / np.where(size > 0, size, 1.0), 0.0)
+    return albedo
+
+
 def best_albedo(
     surface: FloatArray, cos_in: FloatArray, log_measured: FloatArray, root_weight: FloatArray
 ) -> FloatArray:
     """[wavelengths] diffuse albedo, at least 0, that minimises the cost of Löw et al. beside a `surface`.
 
-    `surface` [points, wavelengths] is cos(theta_in) f of the surface, `cos_in` [points, 1]. At every wavelength one
-    number is sought, and all are found at once: linear regression of what the surface leaves, then Newton's steps to
-    the minimum of the cost itself, whose logarithm is nearly straight.
+    Arguments as of `regressed_albedo`, from which Newton's steps lead to the minimum of the cost itself, at all
+    wavelengths at once; its logarithm is nearly straight, so few are needed.
     """
     each = cos_in / math.pi
-    gain = root_weight / np.exp(log_measured) * each
-    size = np.sum(gain**2, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    missing = root_weight / np.exp(log_measured) * (np.expm1(log_measured) - surface)
-    albedo: FloatArray = np.maximum(np.sum(gain * missing, axis=0) / size, 0.0)
+    albedo = regressed_albedo(surface, cos_in, log_measured, root_weight)
     for _ in range(_ALBEDO_STEPS):
         value = surface + each * albedo
         residual = root_weight * (np.log1p(value) - log_measured)

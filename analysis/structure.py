@@ -49,7 +49,8 @@ class Structure:
     over_theta_out: Agreement
     independent: float
     """As how many independent residuals all of them count: N (1 - r) / (1 + r) for each direction of neighbourhood,
-    r its lag-one autocorrelation (the effective sample size of a first-order autoregressive series)."""
+    r its lag-one autocorrelation (the effective sample size of a first-order autoregressive series), and at least one
+    a spectrum."""
 
     def sentences(self) -> tuple[str, ...]:
         """What a reader should know: nothing where the residuals are noise."""
@@ -98,7 +99,8 @@ def structure(
     for agreement in (over_wavelength, over_theta_out):
         r = min(max(agreement.correlation, 0.0), 0.999)
         independent *= (1 - r) / (1 + r)
-    return Structure(over_wavelength, over_theta_out, independent)
+    spectra = float(np.count_nonzero(valid.any(axis=1)))
+    return Structure(over_wavelength, over_theta_out, max(independent, spectra))
 
 
 def _neighbours(theta_in: FloatArray, theta_out: FloatArray) -> tuple[np.ndarray, np.ndarray]:

@@ -79,9 +79,8 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
         values = [f"{p['name']} {_shown(p, part['verdict'])}" for p in part["parameters"]]
         difference = part["metrics"]["dE00"]
         means = " / ".join(f"{_number(difference[kind]['mean']):.2f}" for kind in ("absolute", "chromatic"))
-        lines.append(
-            f"{name}: {', '.join(values)}; mean dE00 absolute / chromatic {means}, r2 {_number(part['metrics']['r2']):.4f}"
-        )
+        r2 = f"r2 {_number(part['metrics']['r2']):.4f}"
+        lines.append(f"{name}: {', '.join(values)}; mean dE00 absolute / chromatic {means}; {r2}")
         if "comparison" in part:
             other = part["comparison"]
             lines.append(
