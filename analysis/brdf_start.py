@@ -27,6 +27,9 @@ _WAVELENGTHS = 8
 _FOLLOWED = 3
 """Minima of a scan that are followed downhill."""
 
+_WORSE = 2.0
+"""Cost over the lowest beyond which a lobe without shift is not given one: a shift does not make up for a wrong lobe."""
+
 _WITHIN_NOISE = 9.21
 """Chi-square with two degrees of freedom that is exceeded once in a hundred times."""
 
@@ -54,7 +57,8 @@ def find_starts(form: Form, data: LoewData) -> Starts:
     seen = _view(plain, coarse, None)
     found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, seen, coarse)]
     if form.shift == "cosine":
-        found = [end for start, _ in found for end in _follow_w(form, coarse, start)]
+        lowest = min(cost for _, cost in found)
+        found = [end for start, cost in found if cost <= _WORSE * lowest for end in _follow_w(form, coarse, start)]
     return _starts(form, data, coarse, found)
 
 

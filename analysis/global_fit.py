@@ -79,7 +79,7 @@ def global_fit(
     directions = in_plane(dataset.theta_in, dataset.theta_out)
     seen = Directions(*(cosine[used] for cosine in directions))
     slopes, weight = local.slope[used], local.u_slope[used] ** -2
-    parameters, chi2 = _search(model, slopes, weight, seen, engine)
+    parameters, chi2 = search_slopes(model, slopes, weight, seen, engine)
 
     gain_of_slope, gain_of_exponent = local_gain(dataset, local, metal)
     columns = slope_and_derivative(model, seen, parameters)[1]
@@ -173,10 +173,13 @@ def _theta_m(directions: Directions) -> FloatArray:
     return np.asarray(np.arccos(np.clip(directions.cos_m, -1, 1)))
 
 
-def _search(
+def search_slopes(
     model: str, slopes: FloatArray, weight: FloatArray, seen: Directions, engine: Engine
 ) -> tuple[FloatArray, float]:
-    """Best parameters and their chi-square."""
+    """Best parameters of a model of `SLOPE_MODELS`, and their chi-square: the sum of `weight` x squared residual.
+
+    `slopes`, `weight` and the directions `seen` are [points].
+    """
     if model == "constant-slope":
         constant = float(weight @ slopes / weight.sum())
         return np.array([constant]), float(weight @ (slopes - constant) ** 2)

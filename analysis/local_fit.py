@@ -10,11 +10,12 @@ Levenberg-Marquardt in a, m and p from one start, spectrum by spectrum as in the
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.errors import FitError
-from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
+from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
-from analysis.models import LAMBDA_N, shift
+from analysis.models import LAMBDA_N, normalised_fresnel, shift
 from analysis.propagation import variance_of_each_point
 from analysis.results import LocalFit
 from drivers.arrays import BoolArray, FloatArray
@@ -28,7 +29,9 @@ LEAST_WAVELENGTHS = 5
 
 _STARTS = np.linspace(*EXPONENT_BOUNDS, 9)
 _ITERATIONS = 80
-_TOLERANCE = 1e-11
+_TOLERANCE = 1e-9
+_ROUGHLY = 1e-4
+_AT_ONCE = 64
 
 
 class _Spectra(NamedTuple):
@@ -43,8 +46,28 @@ class _Spectra(NamedTuple):
     log_fresnel: FloatArray
     """[points, wavelengths] logarithm of F / F(lambda_n) at the incident angle."""
 
-    def take(self, points: BoolArray) -> "_Spectra":
-        return _Spectra(self.values[points], self.root_weight[points], self.x, self.log_fresnel[points])
+    target: FloatArray
+    """[points, wavelengths] values times root_weight."""
+
+    def take(self, points: BoolArray | NDArray[np.intp]) -> "_Spectra":
+        if points.dtype == np.bool_ and points.all():
+            return self
+        values, root_weight, log_fresnel, target = (
+            part[points] for part in (self.values, self.root_weight, self.log_fresnel, self.target)
+        )
+        return _Spectra(values, root_weight, self.x, log_fresnel, target)
+
+    def binned(self) -> "_Spectra":
+        """The same averaged over neighbours to about 50 wavelengths: a good estimate costs little there."""
+        edges = np.arange(0, self.x.size, max(1, self.x.size // 50))
+        count = np.diff(np.append(edges, self.x.size))
+        weight = np.add.reduceat(self.root_weight**2, edges, axis=1)
+        root_weight = np.sqrt(weight)
+        safe = np.where(weight > 0, weight, 1.0)
+        values = np.add.reduceat(self.target * self.root_weight, edges, axis=1) / safe
+        log_fresnel = np.add.reduceat(self.log_fresnel, edges, axis=1) / count
+        x = np.add.reduceat(self.x, edges) / count
+        return _Spectra(values, root_weight, x, log_fresnel, values * root_weight)
 
 
 class _State(NamedTuple):
@@ -53,11 +76,8 @@ class _State(NamedTuple):
     scale: FloatArray
     tilt: FloatArray
     """a m, 1/(sr um)."""
-    cost: FloatArray
     columns: FloatArray
     """[points, 3, wavelengths] derivatives of the weighted model by a, a m and p."""
-    residual: FloatArray
-    """[points, wavelengths] weighted, measured minus model."""
 
 
 def local_fit(
@@ -87,10 +107,10 @@ def local_fit(
     fitted_spectra = spectra.take(enough)
     if not fresnel:
         exponent, settled = np.zeros(int(enough.sum())), np.ones(int(enough.sum()), dtype=bool)
-        state = _linear(fitted_spectra, exponent)
+        state = _state(fitted_spectra, exponent)
     elif engine == "fast":
         exponent, settled = _search_exponent(fitted_spectra)
-        state = _linear(fitted_spectra, exponent)
+        state = _state(fitted_spectra, exponent)
     else:
         exponent, state, settled = _by_lmfit(fitted_spectra)
     slope = _ratio(state.tilt, state.scale)
@@ -130,6 +150,11 @@ def local_fit(
     )
 
 
+def local_exponents(dataset: Dataset, conductor: Conductor | None = None, lambda_n: float = LAMBDA_N) -> FloatArray:
+    """[points] the exponents p of `local_fit` alone, without all that is made of them."""
+    return _search_exponent(_spectra(dataset, conductor or load_conductor(), lambda_n))[0]
+
+
 def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor | None) -> FloatArray:
     """[2, points, wavelengths] derivative of slope (1/um) and exponent by each BRDF value, at the fit's solution.
 
@@ -140,7 +165,7 @@ def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor | None) -
     used = local.reliable
     spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
     gain = np.zeros((2, *dataset.brdf.shape))
-    state = _linear(spectra, local.exponent[used])
+    state = _state(spectra, local.exponent[used])
     gain[:, used] = _slope_and_exponent_gain(spectra, state, local.slope[used], local.fresnel) * spectra.root_weight
     return gain
 
@@ -164,17 +189,21 @@ def shifted_fresnel(
 
 
 def _spectra(dataset: Dataset, conductor: Conductor | None, lambda_n: float) -> _Spectra:
-    fresnel = np.ones((dataset.theta_in.size, dataset.wavelengths.size + 1))
+    log_fresnel = np.zeros(dataset.brdf.shape)
     if conductor is not None:
-        n, k = conductor.index(np.append(dataset.wavelengths, lambda_n))
-        fresnel = fresnel_conductor(np.cos(np.radians(dataset.theta_in))[:, None], n, k)
+        # many points share an incident angle
+        angles, of_point = np.unique(dataset.theta_in, return_inverse=True)
+        log_fresnel = np.log(normalised_fresnel(angles, dataset.wavelengths, conductor, lambda_n))[of_point]
     u = dataset.u_counts
     valid = np.isfinite(dataset.brdf) & np.isfinite(u) & (u > 0)
+    values = np.where(valid, dataset.brdf, 0.0)
+    root_weight = np.where(valid, 1 / np.where(valid, u, 1.0), 0.0)
     return _Spectra(
-        values=np.where(valid, dataset.brdf, 0.0),
-        root_weight=np.where(valid, 1 / np.where(valid, u, 1.0), 0.0),
+        values=values,
+        root_weight=root_weight,
         x=(dataset.wavelengths - lambda_n) * 1e-3,
-        log_fresnel=np.log(fresnel[:, :-1] / fresnel[:, -1:]),
+        log_fresnel=log_fresnel,
+        target=values * root_weight,
     )
 
 
@@ -188,28 +217,68 @@ def _model(scale: FloatArray, slope: FloatArray, exponent: FloatArray, spectra: 
     return np.asarray(scale[:, None] * (1 + slope[:, None] * spectra.x) * power)
 
 
-def _linear(spectra: _Spectra, exponent: FloatArray) -> _State:
-    """Solve for scale and tilt at given exponents [points]: two normal equations a spectrum, in closed form."""
-    first, second, target = _columns(spectra, exponent)
-    aa, ab, bb = (np.einsum("pw,pw->p", u, v) for u, v in ((first, first), (first, second), (second, second)))
-    at, bt = np.einsum("pw,pw->p", first, target), np.einsum("pw,pw->p", second, target)
-    determinant = aa * bb - ab**2
-    scale, tilt = (bb * at - ab * bt) / determinant, (aa * bt - ab * at) / determinant
-    return _state(spectra, exponent, scale, tilt)
+class _Normal(NamedTuple):
+    """Normal matrices of the two linear columns, each [points]."""
+
+    aa: FloatArray
+    ab: FloatArray
+    bb: FloatArray
+
+    def solve(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the two columns, in closed form."""
+        determinant = self.aa * self.bb - self.ab**2
+        return (self.bb * a - self.ab * b) / determinant, (self.aa * b - self.ab * a) / determinant
 
 
-def _columns(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weighted derivatives of the model by a and a m, and the weighted data, each [points, wavelengths]."""
-    first = np.exp(exponent[:, None] * spectra.log_fresnel) * spectra.root_weight
-    return first, first * spectra.x, spectra.values * spectra.root_weight
+def _linear(first: FloatArray, second: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, _Normal]:
+    """Scale and tilt [points] that fit the weighted `target` best, and their normal equations."""
+    normal = _Normal(_dot(first, first), _dot(first, second), _dot(second, second))
+    return *normal.solve(_dot(first, target), _dot(second, target)), normal
 
 
-def _state(spectra: _Spectra, exponent: FloatArray, scale: FloatArray, tilt: FloatArray) -> _State:
-    first, second, target = _columns(spectra, exponent)
+def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.vecdot(one, other))
+
+
+def _columns(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted derivatives of the model by a and a m, each [points, wavelengths]."""
+    first = exponent[:, None] * spectra.log_fresnel
+    np.exp(first, out=first)
+    first *= spectra.root_weight
+    return first, first * spectra.x
+
+
+def _state(spectra: _Spectra, exponent: FloatArray) -> _State:
+    """The best linear parameters for given exponents [points]."""
+    first, second = _columns(spectra, exponent)
+    scale, tilt, _ = _linear(first, second, spectra.target)
+    return _at(spectra, exponent, scale, tilt)
+
+
+def _at(spectra: _Spectra, exponent: FloatArray, scale: FloatArray, tilt: FloatArray) -> _State:
+    """Any parameters [points]."""
+    first, second = _columns(spectra, exponent)
     model = scale[:, None] * first + tilt[:, None] * second
-    residual = target - model
-    columns = np.stack([first, second, model * spectra.log_fresnel], axis=1)
-    return _State(scale, tilt, np.einsum("pw,pw->p", residual, residual), columns, residual)
+    return _State(scale, tilt, np.stack([first, second, model * spectra.log_fresnel], axis=1))
+
+
+def _profile(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """[points] cost of the best linear parameters for given exponents, and Kaufman's Gauss-Newton step of these.
+
+    The residual has no part along the two linear columns, so the step is its part along what these leave of the third.
+    """
+    first, second = _columns(spectra, exponent)
+    scale, tilt, normal = _linear(first, second, spectra.target)
+    model = (scale[:, None] + tilt[:, None] * spectra.x) * first
+    residual = spectra.target - model
+    model *= spectra.log_fresnel
+    with_first, with_second, size = _dot(first, model), _dot(second, model), _dot(model, model)
+    along, across = normal.solve(with_first, with_second)
+    left = size - along * with_first - across * with_second
+    # a column that the others replace but for 1e-13 says nothing of p in double precision
+    solvable = left > 1e-13 * size
+    step = np.where(solvable, _dot(model, residual) / np.where(solvable, left, 1.0), 0.0)
+    return _dot(residual, residual), np.nan_to_num(step)
 
 
 def _inverse_normal(columns: FloatArray) -> FloatArray:
@@ -230,29 +299,42 @@ def _inverse_normal(columns: FloatArray) -> FloatArray:
 def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
     """[points] best exponents within the bounds, and whether the search settled.
 
-    Starts from the best of nine exponents, so that a second minimum does not catch it; then Gauss-Newton steps,
-    halved wherever they do not lower the cost.
+    On binned spectra from the best of nine exponents, so that a second minimum does not catch it, and from there on all
+    wavelengths, a few spectra at a time, so that they stay in the processor's cache.
     """
-    costs = np.stack([_linear(spectra, np.full(spectra.values.shape[0], p)).cost for p in _STARTS])
-    exponent = _STARTS[np.argmin(costs, axis=0)]
+    points = spectra.values.shape[0]
+    binned = spectra.binned()
+    costs = [_profile(binned, np.full(points, p))[0] for p in _STARTS]
+    exponent, settled = _descend(binned, _STARTS[np.argmin(costs, axis=0)], _ROUGHLY)
+    for block in np.array_split(np.arange(points), max(1, round(points / _AT_ONCE))):
+        exponent[block], settled[block] = _descend(spectra.take(block), exponent[block], _TOLERANCE)
+    return exponent, settled
+
+
+def _descend(spectra: _Spectra, exponent: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray]:
+    """Gauss-Newton steps from `exponent`, halved wherever they do not lower the cost; and whether they settled."""
+    exponent = exponent.copy()
     settled = np.zeros(exponent.size, dtype=bool)
-    state = _linear(spectra, exponent)
+    cost, wanted = _profile(spectra, exponent)
+    before = np.full(exponent.size, np.inf)
     for _ in range(_ITERATIONS):
         here = exponent[~settled]
-        gradient = np.einsum("pkw,pw->pk", state.columns, state.residual)
-        step = np.nan_to_num(np.einsum("pk,pk->p", _inverse_normal(state.columns)[:, 2], gradient))
-        step = np.clip(here + step, *EXPONENT_BOUNDS) - here
-        trial = _linear(spectra, here + step)
-        # the cost of a step below a millionth is lost in rounding, so such a step is taken as it is
-        while np.any(worse := (trial.cost > state.cost) & (np.abs(step) > 1e-6)):
-            step = np.where(worse, 0.5 * step, step)
-            trial = _linear(spectra, here + step)
+        step = np.clip(here + wanted, *EXPONENT_BOUNDS) - here
         exponent[~settled] = here + step
-        going = np.abs(step) >= _TOLERANCE
+        # steps shrink by about the same factor each time, so the next one is known before it is made
+        going = np.abs(step) * np.minimum(np.abs(step / before), 1.0) >= tolerance
+        if going.any():
+            trial = _profile(spectra, here + step)
+            # the cost of a step below a millionth is lost in rounding, so such a step is taken as it is
+            while np.any(worse := (trial[0] > cost) & (np.abs(step) > 1e-6)):
+                step = np.where(worse, 0.5 * step, step)
+                trial = _profile(spectra, here + step)
+            exponent[~settled] = here + step
+            cost, wanted, before = trial[0][going], trial[1][going], step[going]
+            spectra = spectra.take(going)
         settled[~settled] = ~going
-        if not going.any():
+        if settled.all():
             break
-        spectra, state = spectra.take(going), _State(*(values[going] for values in trial))
     return exponent, settled
 
 
@@ -282,7 +364,7 @@ def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, _State, BoolArray]:
         # MINPACK's 6 to 8 say that rounding stops any further descent, as these tolerances want it
         converged[point] = result.ier in {1, 2, 3, 4, 6, 7, 8}
     scale, slope, exponent = found
-    return exponent, _state(spectra, exponent, scale, scale * slope), converged
+    return exponent, _at(spectra, exponent, scale, scale * slope), converged
 
 
 def _slope_and_exponent_gain(spectra: _Spectra, state: _State, slope: FloatArray, fresnel: bool) -> FloatArray:
