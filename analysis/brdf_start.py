@@ -28,7 +28,7 @@ _FOLLOWED = 3
 """Minima of a scan that are followed downhill."""
 
 _WORSE = 2.0
-"""Cost over the lowest beyond which a lobe without shift is not given one: a shift does not make up for a wrong lobe."""
+"""Cost over the lowest beyond which a lobe is not given a shift, which does not make up for a wrong lobe."""
 
 _WITHIN_NOISE = 9.21
 """Chi-square with two degrees of freedom that is exceeded once in a hundred times."""

@@ -29,7 +29,7 @@ LEAST_WAVELENGTHS = 5
 
 _STARTS = np.linspace(*EXPONENT_BOUNDS, 9)
 _ITERATIONS = 80
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-8
 _ROUGHLY = 1e-4
 _AT_ONCE = 64
 
@@ -57,16 +57,16 @@ class _Spectra(NamedTuple):
         )
         return _Spectra(values, root_weight, self.x, log_fresnel, target)
 
-    def binned(self) -> "_Spectra":
-        """The same averaged over neighbours to about 50 wavelengths: a good estimate costs little there."""
-        edges = np.arange(0, self.x.size, max(1, self.x.size // 50))
-        count = np.diff(np.append(edges, self.x.size))
+    def binned(self, count: int) -> "_Spectra":
+        """The same averaged over neighbours to about `count` wavelengths: a good estimate costs little there."""
+        edges = np.arange(0, self.x.size, max(1, self.x.size // count))
+        members = np.diff(np.append(edges, self.x.size))
         weight = np.add.reduceat(self.root_weight**2, edges, axis=1)
         root_weight = np.sqrt(weight)
         safe = np.where(weight > 0, weight, 1.0)
         values = np.add.reduceat(self.target * self.root_weight, edges, axis=1) / safe
-        log_fresnel = np.add.reduceat(self.log_fresnel, edges, axis=1) / count
-        x = np.add.reduceat(self.x, edges) / count
+        log_fresnel = np.add.reduceat(self.log_fresnel, edges, axis=1) / members
+        x = np.add.reduceat(self.x, edges) / members
         return _Spectra(values, root_weight, x, log_fresnel, values * root_weight)
 
 
@@ -303,8 +303,9 @@ def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
     wavelengths, a few spectra at a time, so that they stay in the processor's cache.
     """
     points = spectra.values.shape[0]
-    binned = spectra.binned()
-    costs = [_profile(binned, np.full(points, p))[0] for p in _STARTS]
+    binned = spectra.binned(50)
+    coarse = binned.binned(16)
+    costs = [_profile(coarse, np.full(points, p))[0] for p in _STARTS]
     exponent, settled = _descend(binned, _STARTS[np.argmin(costs, axis=0)], _ROUGHLY)
     for block in np.array_split(np.arange(points), max(1, round(points / _AT_ONCE))):
         exponent[block], settled[block] = _descend(spectra.take(block), exponent[block], _TOLERANCE)
@@ -316,13 +317,13 @@ def _descend(spectra: _Spectra, exponent: FloatArray, tolerance: float) -> tuple
     exponent = exponent.copy()
     settled = np.zeros(exponent.size, dtype=bool)
     cost, wanted = _profile(spectra, exponent)
-    before = np.full(exponent.size, np.inf)
+    before = np.full(exponent.size, np.nan)
     for _ in range(_ITERATIONS):
         here = exponent[~settled]
         step = np.clip(here + wanted, *EXPONENT_BOUNDS) - here
         exponent[~settled] = here + step
         # steps shrink by about the same factor each time, so the next one is known before it is made
-        going = np.abs(step) * np.minimum(np.abs(step / before), 1.0) >= tolerance
+        going = np.abs(step) * np.fmin(np.abs(step / before), 1.0) >= tolerance
         if going.any():
             trial = _profile(spectra, here + step)
             # the cost of a step below a millionth is lost in rounding, so such a step is taken as it is
