@@ -149,6 +149,7 @@ def _result(
     residual = log_model(seen, parameters, near.albedo) - data.log_measured
     valid = data.valid
     around = data.log_measured[valid] - data.log_measured[valid].mean()
+    r2 = float(1 - np.sum(residual[valid] ** 2) / np.sum(around**2))
     ratio = float(np.sqrt(np.mean((residual[valid] / combined(errors, valid.shape)[valid]) ** 2)))
     # residuals beyond the uncertainty are errors of the model; the parameters then stand for less than it says
     inflation = ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0
@@ -167,6 +168,7 @@ def _result(
             u=sigma,
             u_alpha_from_angles=shares[0].get("angle", 0.0),
             residual_ratio=ratio,
+            r2=r2,
             scanned_alphas=(float(SCANNED_ALPHAS[0]), float(SCANNED_ALPHAS[-1])),
             w_fixed=found.free < count,
             others=others,
@@ -190,7 +192,7 @@ def _result(
         correlation=correlation(covariance),
         cost=data.cost,
         cost_value=found.minimum.cost,
-        r2=float(1 - np.sum(residual[valid] ** 2) / np.sum(around**2)),
+        r2=r2,
         verdict=verdict,
         fitted=np.expm1(log_model(everywhere, parameters, near.albedo)) / everywhere.cos_in,
         lambda_n=LAMBDA_N,

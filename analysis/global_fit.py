@@ -121,7 +121,7 @@ def global_fit(
             largest_theta_m=float(np.arccos(np.clip(seen.cos_m.min(), -1, 1))),
             scatter=float(inflation[0]),
             scatter_of_p=float(inflation[-1]) if local.fresnel else 1.0,
-            other_w=_other_minima(slopes, weight, seen, chi2) if model == "global" else (),
+            other_w=_other_minima(slopes, weight, seen, float(parameters[1]), chi2) if model == "global" else (),
             structure=of_residuals,
         )
     )
@@ -265,7 +265,9 @@ def _refine(slopes: FloatArray, weight: FloatArray, theta: FloatArray, near: flo
     return _cosine_at(slopes, weight, theta, float(refined.x))
 
 
-def _other_minima(slopes: FloatArray, weight: FloatArray, seen: Directions, chi2: float) -> tuple[float, ...]:
+def _other_minima(
+    slopes: FloatArray, weight: FloatArray, seen: Directions, best: float, chi2: float
+) -> tuple[float, ...]:
     """Other w whose minimum is as good within the noise: chi-square, divided by its reduced best, up by less than 9.21.
 
     That is exceeded once in a hundred times by a chi-square of two degrees of freedom.
@@ -276,7 +278,7 @@ def _other_minima(slopes: FloatArray, weight: FloatArray, seen: Directions, chi2
     inner = (costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:])
     limit = chi2 + 9.21 * max(chi2 / (slopes.size - 3), 1.0)
     ends = [_refine(slopes, weight, theta, float(w)) for w in grid[1:-1][inner & (costs[1:-1] < 1.05 * limit)]]
-    return tuple(float(end[1]) for end, cost in ends if chi2 * (1 + 1e-9) < cost < limit)
+    return tuple(float(end[1]) for end, cost in ends if cost < limit and abs(end[1] - best) > _W_STEP)
 
 
 def _structure(dataset: Dataset, local: LocalFit, gain: FloatArray, residual: FloatArray) -> Structure:

@@ -16,6 +16,9 @@ from goniometer.dataset import Dataset
 LEAST_SHARE_ABOVE_NOISE = 0.25
 """Share of points that must stand above the noise for a fit to be trusted."""
 
+LEAST_R2 = 0.5
+"""Share of the variation of ln(1 + cos(theta_in) f) that a model must explain to be one of the sample at all."""
+
 LARGEST_RESIDUAL_RATIO = 2.0
 """Residuals may be as many times their combined standard uncertainty before the standard errors are inflated.
 
@@ -43,6 +46,8 @@ class Evidence:
     """The part of alpha's that the angles make: errors of the positions and of the zeros of the stages."""
     residual_ratio: float
     """Root mean square of residual over its combined standard uncertainty, systematic errors included."""
+    r2: float
+    """Share of the variation that is explained."""
     scanned_alphas: tuple[float, float]
     """Smallest and largest alpha that was scanned for a start."""
     w_fixed: bool
@@ -68,6 +73,7 @@ def judge(evidence: Evidence) -> Verdict:
     undetermined = _undetermined(evidence)
     against = [
         *_against_the_optimiser(evidence),
+        *_against_the_model(evidence),
         *_against_alpha(evidence),
         *_against_shift(evidence),
         *_against_others(evidence, undetermined),
@@ -103,6 +109,15 @@ def _against_the_optimiser(evidence: Evidence) -> list[str]:
         )
         reasons.append(f"Another minimum is as good within the noise: {named}.")
     return reasons
+
+
+def _against_the_model(evidence: Evidence) -> list[str]:
+    if evidence.r2 >= LEAST_R2 or evidence.residual_ratio <= LARGEST_RESIDUAL_RATIO:
+        return []
+    return [
+        f"The model explains only {max(evidence.r2, 0.0):.0%} of how the measurement varies, which noise does not "
+        "account for: it is not one of this sample."
+    ]
 
 
 def _against_others(evidence: Evidence, undetermined: tuple[str, ...]) -> list[str]:

@@ -148,7 +148,7 @@ def _verdict_table(analysis: SampleAnalysis) -> str:
         gains = ["–", "–", "–"]
         if fit.comparison is not None:
             gained = fit.comparison
-            gains = [MODEL_NAMES[gained.simpler], f"{gained.bic:.4g}", f"{gained.dE00:.2f}"]
+            gains = [MODEL_NAMES[gained.simpler], f"{gained.bic:.0f}", f"{gained.dE00:.2f}"]
         cells = [f"{fit.r2:.4f}", *(gain.replace("-", "−") for gain in gains[1:])]
         how = fit.cost if fit.distribution is None else f"{fit.cost}; {fit.distribution}"
         rows.append(
@@ -175,11 +175,12 @@ def _albedo_figure(analysis: SampleAnalysis) -> str:
     fits = [fit for fit in analysis.models if fit.albedo is not None]
     if not fits:
         return ""
-    return "<h3>Diffuse albedo</h3>" + figure(
+    curves = figure(
         [albedo_curves(fits, "albedo")],
         "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
         f"uncertainty (coverage factor {figures.COVERAGE}); none where the albedo stands at zero.",
     )
+    return f'<h3>Diffuse albedo</h3><div class="pair"><div>{curves}</div></div>'
 
 
 def _error_table(analysis: SampleAnalysis) -> str:
