@@ -35,7 +35,7 @@ class HowToFit:
     """Name in the refractive index database."""
 
 
-def fit_dataset(store: Store, dataset_id: int, model: str | None, how: HowToFit) -> dict[str, Any]:
+def fit_dataset(store: Store, dataset_id: int, model: str | None, how: HowToFit = HowToFit()) -> dict[str, Any]:
     """Fit a dataset anew, store the fits, and return them as JSON: one model, or all of a scan's end.
 
     Raises `InputError` for an unknown model, `UnknownConductor`, and `FitError` for data that cannot be fitted.
