@@ -1,38 +1,44 @@
-"""Everything that is fitted when a scan ends."""
+"""Everything that is fitted when a scan ends, and anything else on demand."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from analysis.brdf_fit import cook_torrance_fit, shift_fit
 from analysis.colour import colour_differences
-from analysis.fresnel import Conductor, load_conductor
-from analysis.global_fit import global_fit
-from analysis.local_fit import local_fit
+from analysis.distributions import Distribution
+from analysis.fits import fit_models, local_fit_for
+from analysis.fresnel import Conductor
+from analysis.least_squares import Engine
+from analysis.loew import Weight
 from analysis.noise import hue_is_known
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 
+AT_THE_END_OF_A_SCAN = ("global", "cook-torrance", "cook-torrance-shift")
+"""Models that are fitted when a scan ends, beside the local fit: those of the paper for a metal."""
 
-def analyse(dataset: Dataset, conductor: Conductor | None = None) -> SampleAnalysis:
-    """Local fit, global fit, Cook-Torrance with and without shift, and their colour differences.
 
-    `conductor` is aluminium unless given. The global model describes normalised spectra: for its colour
-    difference, every point takes its scale from the local fit. Spectra whose hue is noise have no chromatic
-    difference. Raises `OutOfRange` for wavelengths that the
-    conductor does not cover and `FitError` for data that cannot be fitted.
+def analyse(
+    dataset: Dataset,
+    conductor: Conductor | None = None,
+    models: tuple[str, ...] = AT_THE_END_OF_A_SCAN,
+    engine: Engine = "fast",
+    distribution: Distribution = "ggx",
+    weight: Weight = "none",
+) -> SampleAnalysis:
+    """Local fit and `models` (names of `analysis.fits.MODELS`), with their verdicts and colour differences.
+
+    `conductor` is aluminium unless given; `engine`, `distribution` and `weight` as in `analysis.brdf_fit`. The global
+    model describes normalised spectra: for its colour difference, every point takes its scale from the local fit.
+    Spectra whose hue is noise have no chromatic difference. Raises `OutOfRange` for wavelengths that the conductor does
+    not cover and `FitError` for data that cannot be fitted.
     """
-    conductor = conductor or load_conductor()
-    local = local_fit(dataset, conductor)
-    models = (
-        global_fit(dataset, local, conductor),
-        cook_torrance_fit(dataset, conductor),
-        shift_fit(dataset, conductor),
-    )
-    fitted = {"local": local.fitted} | {model.model: model.fitted for model in models}
+    local = local_fit_for(dataset, models, conductor, engine)
+    fits = fit_models(dataset, local, models, conductor, engine, distribution, weight)
+    fitted = {"local": local.fitted} | {fit.model: fit.fitted for fit in fits}
     dim = ~hue_is_known(dataset, local.lambda_n)
     differences = {}
     for name, values in fitted.items():
         found = colour_differences(dataset.brdf, values, dataset.wavelengths, dataset.theta_in)
         differences[name] = replace(found, chromatic=np.where(dim, np.nan, found.chromatic))
-    return SampleAnalysis(dataset, local, models, differences)
+    return SampleAnalysis(dataset, local, fits, differences)

@@ -97,3 +97,21 @@ def _above(directions: Directions) -> tuple[BoolArray, tuple[FloatArray, FloatAr
     cosines = (directions.cos_i, directions.cos_o, directions.cos_m)
     cos_i, cos_o, cos_m = (np.where(above, cosine, 1.0) for cosine in cosines)
     return above, (cos_i, cos_o, cos_m)
+
+
+def lobe_width(alpha: float, distribution: Distribution = "ggx") -> float:
+    """Full width at half maximum of the distribution of normals, as seen in theta_out, degrees; 360 where D is wider.
+
+    theta_m changes half as fast as theta_out. GGX falls to one half where cos^2 = (1 - sqrt(2) alpha^2) /
+    (1 - alpha^2), Beckmann where tan^2 / alpha^2 + 2 ln cos^2 = ln 2, which is -1/alpha^2 + y / alpha^2 - 2 ln y = ln 2
+    for y = 1 / cos^2 (Eqs. 33 and 25).
+    """
+    squared = alpha**2
+    if distribution == "ggx":
+        if squared >= np.sqrt(0.5):
+            return 360.0
+        return float(4 * np.degrees(np.arccos(np.sqrt((1 - np.sqrt(2) * squared) / (1 - squared)))))
+    y = 1.0
+    for _ in range(200):  # y is the fixed point of a contraction where the lobe is narrow
+        y = 1 + squared * (np.log(2) + 2 * np.log(y))
+    return float(4 * np.degrees(np.arctan(np.sqrt(y - 1)))) if squared < 0.4 else 360.0

@@ -117,14 +117,15 @@ def write_bsdf(
 def write_fit(path: Path, fit: ModelFit, dataset: Dataset, conductor: Conductor) -> BsdfReport:
     """Write a fit of "cook-torrance" or "cook-torrance-shift" to `path`, described by what it was fitted to.
 
-    Raises as `write_bsdf`, and `ExportError` for another model: the global model has no lobe.
+    Raises as `write_bsdf`, and `ExportError` for another model or distribution than GGX: the file would not be of it.
     """
-    names = {p.name for p in fit.parameters}
-    if "alpha" not in names:
+    if fit.model not in {"cook-torrance", "cook-torrance-shift"} or fit.distribution != "ggx":
+        normals = f" with {fit.distribution}" if fit.distribution else ""
         raise ExportError(
-            f"The model {fit.model} has no roughness alpha and cannot be rendered: export a Cook-Torrance fit."
+            f"The model {fit.model}{normals} cannot be rendered: export a fit of cook-torrance or cook-torrance-shift "
+            "with ggx."
         )
-    h, w = (fit.value("h"), fit.value("w")) if "h" in names else (0.0, 0.0)
+    h, w = (fit.value("h"), fit.value("w")) if fit.model != "cook-torrance" else (0.0, 0.0)
     return write_bsdf(path, fit.value("alpha"), conductor, h, w, about=describe(fit, dataset))
 
 

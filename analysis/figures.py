@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.colour import brdf_to_rgb, display_encoded
+from analysis.directions import in_plane
 from analysis.filled_figure import STEP, at_nearest, draw_filled, filled_cells, filled_legend, hatch
-from analysis.models import cosine_slope
+from analysis.fits import fitted_slope
 from analysis.noise import LEAST_SIGNAL_FOR_HUE, at_wavelength, clear_of_noise, flag_words, hue_is_known
 from analysis.notation import with_uncertainty
 from analysis.results import LocalFit, ModelFit
@@ -332,26 +333,27 @@ def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0
         return to_svg(figure, name, f"normalised spectra at an incident angle of {angle:.0f} degrees with local fits")
 
 
-def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str) -> list[str]:
+def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str, other: ModelFit | None = None) -> list[str]:
     """One panel an incident angle: slope of every spectrum with its error bar, and a model's curve (Fig. 9).
 
-    `fit` is the global model or Cook-Torrance with shift. Error bars are expanded uncertainties; points that
-    the local fit calls unreliable are hollow and without bar. All panels share their axes.
+    `fit` is any model with a shift; the curve of an `other` one is dashed. Error bars are expanded uncertainties;
+    points that the local fit calls unreliable are hollow and without bar. All panels share their axes.
     """
-    offset = fit.value("t_y") if fit.model == "global" else 0.0
     theta = np.linspace(-90, 90, 181)
     sound = local.slope[local.reliable]
     low, high = (float(np.percentile(sound, q)) for q in (0.5, 99.5)) if sound.size else (-1.0, 1.0)
     margin = max(0.2 * (high - low), 0.1)
     panels = []
     for number, ((angle, order), _) in enumerate(_by_incidence(dataset)):
-        curve = cosine_slope(0.5 * np.abs(theta - angle), fit.value("h"), fit.value("w"), offset)
+        directions = in_plane(np.full_like(theta, angle), theta)
         good, poor = order[local.reliable[order]], order[~local.reliable[order]]
         with style():
             figure, axes = new_axes(215, 150, left=40, right=8, bottom=34, top=18)
             axes.axhline(0, color=INK, linewidth=0.6, alpha=0.5)
             axes.axvspan(-angle - BLOCKED_HALF_WIDTH, -angle + BLOCKED_HALF_WIDTH, color=INK, alpha=0.1, linewidth=0)
-            axes.plot(theta, curve, color=SEQUENCE[-2], linewidth=1.5)
+            axes.plot(theta, fitted_slope(fit, directions), color=SEQUENCE[-2], linewidth=1.5)
+            if other is not None:
+                axes.plot(theta, fitted_slope(other, directions), color=INK, linewidth=1.2, dashes=(4, 2))
             axes.errorbar(
                 dataset.theta_out[good], local.slope[good], COVERAGE * local.u_slope[good],
                 fmt="o", color=SEQUENCE[0], markersize=2.6, elinewidth=0.8,

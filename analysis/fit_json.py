@@ -8,19 +8,26 @@ The refractive index is part of the file, so that a model does not change when a
 import json
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, cast
 
 import numpy as np
 
-from analysis.directions import in_plane
 from analysis.errors import ExportError
-from analysis.fresnel import Conductor, fresnel_conductor
-from analysis.models import cook_torrance, cosine_slope, shift, theta_m
+from analysis.fresnel import Conductor
 from analysis.noise import flag_words
-from analysis.results import ColourDifferences, LocalFit, ModelFit, Parameter, SampleAnalysis, Verdict
-from drivers.arrays import FloatArray
+from analysis.results import (
+    Albedo,
+    ColourDifferences,
+    Comparison,
+    LocalFit,
+    ModelFit,
+    Parameter,
+    SampleAnalysis,
+    Verdict,
+)
+from analysis.stored_fit import StoredFit
 from goniometer.dataset import MEANING, Dataset
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry
@@ -28,7 +35,7 @@ from goniometer.uncertainty import PARTS
 
 FIT_SCHEMA = "goniometer-fit"
 ANALYSIS_SCHEMA = "goniometer-analysis"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _NOTE = (
     'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
@@ -39,66 +46,13 @@ _NOTE = (
 _LINE_BREAK = re.compile(r"\s*\n\s*")
 
 
-@dataclass(frozen=True)
-class StoredFit:
-    """A fit as it comes back from a file."""
-
-    model: str
-    """"global", "cook-torrance" or "cook-torrance-shift"."""
-    equation: str
-    parameters: tuple[Parameter, ...]
-    correlation: FloatArray
-    """[parameters, parameters]"""
-    verdict: Verdict
-    cost: str
-    cost_value: float
-    r2: float
-    lambda_n: float
-    """Normalisation wavelength, nm."""
-    theta_range: tuple[float, float, float, float]
-    """Smallest and largest theta_in and theta_out of the fitted points, degrees."""
-    wavelength_range: tuple[float, float]
-    """nm."""
-    clamped_points: int
-    """At how many points of the dataset the shift was clamped at zero."""
-    sample: str
-    dataset_hash: str
-    """SHA-256 of the dataset it was fitted to."""
-    points: int
-    aperture: float
-    """Full angle of the detector aperture that the fit took into account, degrees."""
-    colour_difference: dict[str, dict[str, float]]
-    """Mean, median, p95 and max CIEDE2000, "absolute" and "chromatic"."""
-    conductor: Conductor
-    software: str
-    """Version that wrote the file."""
-
-    def value(self, name: str) -> float:
-        """Value of the parameter called `name`; raises `KeyError`."""
-        return {p.name: p.value for p in self.parameters}[name]
-
-
-def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
-    """Values [points, wavelengths] of a stored model at in-plane directions [points], degrees, and nm.
-
-    1/sr for Cook-Torrance, without an aperture; for the global model a pure number, one at lambda_n (Eq. 3).
-    Raises `OutOfRange` beyond the conductor's table.
-    """
-    directions = in_plane(theta_in, theta_out)
-    if fit.model == "global":
-        n, k = fit.conductor.index(np.append(wavelengths, fit.lambda_n))
-        fresnel = fresnel_conductor(directions.cos_i[:, None], n, k)
-        slope = cosine_slope(theta_m(directions), fit.value("h"), fit.value("w"), fit.value("t_y"))
-        tilt = shift(slope, wavelengths, fit.lambda_n)
-        return np.asarray(tilt * (fresnel[:, :-1] / fresnel[:, -1:]) ** fit.value("p"))
-    h, w = (fit.value("h"), fit.value("w")) if fit.model == "cook-torrance-shift" else (0.0, 0.0)
-    return cook_torrance(directions, wavelengths, fit.value("alpha"), fit.conductor, h, w)
-
-
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
-    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with."""
+    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with, the latter where it was needed."""
+    needed = fit.albedo is None and any(p.name in {"p", "alpha"} for p in fit.parameters)
     return strict_json(
-        _head(FIT_SCHEMA) | _fit_part(fit, dataset, differences) | {"conductor": _conductor_part(conductor)}
+        _head(FIT_SCHEMA)
+        | _fit_part(fit, dataset, differences)
+        | ({"conductor": _conductor_part(conductor)} if needed else {})
     )
 
 
@@ -154,9 +108,10 @@ def _head(schema: str) -> dict[str, Any]:
 
 
 def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
-    return {
+    found = {
         "model": fit.model,
         "equation": fit.equation,
+        "engine": fit.engine,
         "lambda_n_nm": fit.lambda_n,
         "parameters": [
             {
@@ -169,7 +124,12 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
             for p in fit.parameters
         ],
         "correlation": fit.correlation.tolist(),
-        "verdict": {"trusted": fit.verdict.trusted, "reasons": list(fit.verdict.reasons)},
+        "verdict": {
+            "trusted": fit.verdict.trusted,
+            "reasons": list(fit.verdict.reasons),
+            "undetermined": list(fit.verdict.undetermined),
+            "converged": fit.verdict.converged,
+        },
         "fitted_to": {
             "sample": dataset.sample,
             "dataset_sha256": dataset.content_hash,
@@ -181,18 +141,35 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
         },
         "metrics": {
             "cost": {"name": fit.cost, "value": fit.cost_value},
+            "independent_residuals": fit.independent,
             "r2": fit.r2,
             "clamped_points": fit.clamped_points,
             "dE00": {kind: differences.statistics(kind) for kind in ("absolute", "chromatic")},
         },
     }
+    if fit.distribution is not None:
+        found["distribution"] = fit.distribution
+    if fit.comparison is not None:
+        found["comparison"] = {
+            "simpler_model": fit.comparison.simpler,
+            "BIC_falls_by": fit.comparison.bic,
+            "mean_dE00_falls_by": fit.comparison.dE00,
+        }
+    if fit.albedo is not None:
+        found["albedo"] = {
+            "wavelength_nm": fit.albedo.wavelengths.tolist(),
+            "r_d": fit.albedo.values.tolist(),
+            "u_r_d": fit.albedo.u.tolist(),
+        }
+    return found
 
 
 def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
     pairs = zip(dataset.theta_in.tolist(), dataset.theta_out.tolist(), strict=True)
     seen = ~np.array([Geometry(*pair).blocked for pair in pairs], dtype=bool)
     return {
-        "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2",
+        "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2"
+        + ("" if local.fresnel else ", p held at 0"),
         "lambda_n_nm": local.lambda_n,
         "theta_in_deg": dataset.theta_in[seen].tolist(),
         "theta_out_deg": dataset.theta_out[seen].tolist(),
@@ -218,7 +195,7 @@ def _conductor_part(conductor: Conductor) -> dict[str, Any]:
 
 
 def _stored_fit(document: dict[str, Any]) -> StoredFit:
-    fitted_to, metrics, conductor = document["fitted_to"], document["metrics"], document["conductor"]
+    fitted_to, metrics, verdict = document["fitted_to"], document["metrics"], document["verdict"]
     low_in, high_in = (float(v) for v in fitted_to["theta_in_deg"])
     low_out, high_out = (float(v) for v in fitted_to["theta_out_deg"])
     shortest, longest = (float(v) for v in fitted_to["wavelength_nm"])
@@ -235,11 +212,20 @@ def _stored_fit(document: dict[str, Any]) -> StoredFit:
     return StoredFit(
         model=str(document["model"]),
         equation=str(document["equation"]),
+        engine=document["engine"],
+        distribution=document.get("distribution"),
         parameters=parameters,
         correlation=np.array(document["correlation"], dtype=float).reshape(len(parameters), len(parameters)),
-        verdict=Verdict(bool(document["verdict"]["trusted"]), tuple(map(str, document["verdict"]["reasons"]))),
+        verdict=Verdict(
+            bool(verdict["trusted"]),
+            tuple(map(str, verdict["reasons"])),
+            tuple(map(str, verdict["undetermined"])),
+            bool(verdict["converged"]),
+        ),
+        comparison=_stored_comparison(document["comparison"]) if "comparison" in document else None,
         cost=str(metrics["cost"]["name"]),
         cost_value=float(metrics["cost"]["value"]),
+        independent=float(metrics["independent_residuals"]),
         r2=float(metrics["r2"]),
         lambda_n=float(document["lambda_n_nm"]),
         theta_range=(low_in, high_in, low_out, high_out),
@@ -252,14 +238,24 @@ def _stored_fit(document: dict[str, Any]) -> StoredFit:
         colour_difference={
             kind: {name: float(v) for name, v in values.items()} for kind, values in metrics["dE00"].items()
         },
-        conductor=Conductor(
-            str(conductor["name"]),
-            np.array(conductor["wavelength_nm"], dtype=float),
-            np.array(conductor["n"], dtype=float),
-            np.array(conductor["k"], dtype=float),
-        ),
+        conductor=_stored_conductor(document["conductor"]) if "conductor" in document else None,
+        albedo=_stored_albedo(document["albedo"]) if "albedo" in document else None,
         software=str(document["software"]["version"]),
     )
+
+
+def _stored_comparison(part: dict[str, Any]) -> Comparison:
+    return Comparison(str(part["simpler_model"]), float(part["BIC_falls_by"]), float(part["mean_dE00_falls_by"]))
+
+
+def _stored_conductor(part: dict[str, Any]) -> Conductor:
+    wavelengths, n, k = (np.array(part[name], dtype=float) for name in ("wavelength_nm", "n", "k"))
+    return Conductor(str(part["name"]), wavelengths, n, k)
+
+
+def _stored_albedo(part: dict[str, Any]) -> Albedo:
+    wavelengths, values, u = (np.array(part[name], dtype=float) for name in ("wavelength_nm", "r_d", "u_r_d"))
+    return Albedo(wavelengths, values, u)
 
 
 def _document(text: str, schema: str) -> dict[str, Any]:

@@ -1,20 +1,23 @@
-"""Whether the parameters of a fitted lobe are identified by the measurement, in sentences."""
+"""Whether the parameters of a fitted microfacet model are identified by the measurement, in sentences."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.distributions import Distribution, lobe_width
+from analysis.microfacet import Quantity
 from analysis.noise import above_noise, flag_sentences
 from analysis.results import Verdict
-from drivers.arrays import BoolArray
+from analysis.structure import Structure
+from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 
 LEAST_SHARE_ABOVE_NOISE = 0.25
 """Share of points that must stand above the noise for a fit to be trusted."""
 
-LARGEST_RELATIVE_ERROR = 0.1
-"""Relative standard error beyond which alpha counts as undetermined."""
+LEAST_R2 = 0.5
+"""Share of the variation of ln(1 + cos(theta_in) f) that a model must explain to be one of the sample at all."""
 
 LARGEST_RESIDUAL_RATIO = 2.0
 """Residuals may be as many times their combined standard uncertainty before the standard errors are inflated.
@@ -23,64 +26,149 @@ Not one: where an error that all residuals share is the largest, their ratio is 
 is beyond two once in 22 times.
 """
 
+_OF_SHIFT = {"h", "w", "t_y", "kappa", "sharpness", "threshold"}
+
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a fit of Cook-Torrance, with or without shift, knows of itself."""
+    """What a fit of a microfacet model knows of itself."""
 
     dataset: Dataset
     fitted: BoolArray
     """[points] which points were fitted."""
-    alpha: float
-    u_alpha: float
+    distribution: Distribution
+    quantities: tuple[Quantity, ...]
+    values: FloatArray
+    """[quantities]"""
+    u: FloatArray
+    """[quantities] standard uncertainties, infinite where fixed or not determined."""
     u_alpha_from_angles: float
-    """The part of `u_alpha` that the angles make: errors of the positions and of the zeros of the stages."""
+    """The part of alpha's that the angles make: errors of the positions and of the zeros of the stages."""
     residual_ratio: float
     """Root mean square of residual over its combined standard uncertainty, systematic errors included."""
+    r2: float
+    """Share of the variation that is explained."""
     scanned_alphas: tuple[float, float]
     """Smallest and largest alpha that was scanned for a start."""
-    h: float | None
-    """1/um; None for a model without shift."""
-    u_h: float
-    shift_determined: bool
-    """False where w had to be fixed."""
+    w_fixed: bool
+    """True where w had to be fixed at 0."""
+    others: tuple[FloatArray, ...]
+    """Parameters of other minima that are as good within the noise."""
+    not_converged: str
+    """Why the optimiser gave up; empty where it did not."""
+    structure: Structure
 
+    def of(self, name: str) -> tuple[float, float]:
+        """Value and standard uncertainty of a parameter."""
+        index = [quantity.name for quantity in self.quantities].index(name)
+        return float(self.values[index]), float(self.u[index])
 
-def lobe_width(alpha: float) -> float:
-    """Full width at half maximum of the GGX distribution of normals, as seen in theta_out, degrees.
-
-    D = alpha^2 / (pi (cos^2 (alpha^2 - 1) + 1)^2) falls to one half where cos^2 = (1 - sqrt(2) alpha^2) / (1 - alpha^2)
-    (Walter et al. 2007, Eq. 33), and theta_m changes half as fast as theta_out. 360 where D never falls that far.
-    """
-    squared = alpha**2
-    if squared >= math.sqrt(0.5):
-        return 360.0
-    return 4 * math.degrees(math.acos(math.sqrt((1 - math.sqrt(2) * squared) / (1 - squared))))
+    def has(self, name: str) -> bool:
+        """Whether the model has a parameter of this name."""
+        return any(quantity.name == name for quantity in self.quantities)
 
 
 def judge(evidence: Evidence) -> Verdict:
     """The verdict on a fit: what speaks against it first, then what a reader should know besides."""
-    against = [*_against_alpha(evidence), *_against_shift(evidence)]
-    return Verdict(not against, (*against, *_notes(evidence)))
+    undetermined = _undetermined(evidence)
+    against = [
+        *_against_the_optimiser(evidence),
+        *_against_the_model(evidence),
+        *_against_alpha(evidence),
+        *_against_shift(evidence),
+        *_against_others(evidence, undetermined),
+        *_outside_the_data(evidence),
+    ]
+    return Verdict(not against, (*against, *_notes(evidence)), undetermined, converged=not evidence.not_converged)
+
+
+def _undetermined(evidence: Evidence) -> tuple[str, ...]:
+    """Names of the parameters that are known worse than is of any use; without a shift, all that describe it."""
+    names = [
+        quantity.name
+        for quantity, value, u in zip(evidence.quantities, evidence.values, evidence.u, strict=True)
+        if not u <= quantity.useful(float(value))
+    ]
+    if evidence.has("h") and _h_is_zero(evidence):
+        names += [quantity.name for quantity in evidence.quantities if quantity.name in _OF_SHIFT - {"h", "t_y"}]
+    return tuple(dict.fromkeys(names))
+
+
+def _h_is_zero(evidence: Evidence) -> bool:
+    """Whether there is no shift: h is known, and compatible with zero."""
+    h, u_h = evidence.of("h")
+    return abs(h) <= 3 * u_h < 1
+
+
+def _against_the_optimiser(evidence: Evidence) -> list[str]:
+    reasons = [f"The fit did not converge. {evidence.not_converged}"] if evidence.not_converged else []
+    for other in evidence.others:
+        named = ", ".join(
+            f"{quantity.name} = {value:.3g}{'' if quantity.unit == '1' else ' ' + quantity.unit}"
+            for quantity, value in zip(evidence.quantities, other, strict=True)
+        )
+        reasons.append(f"Another minimum is as good within the noise: {named}.")
+    return reasons
+
+
+def _against_the_model(evidence: Evidence) -> list[str]:
+    if evidence.r2 >= LEAST_R2 or evidence.residual_ratio <= LARGEST_RESIDUAL_RATIO:
+        return []
+    return [
+        f"The model explains only {max(evidence.r2, 0.0):.0%} of how the measurement varies, which noise does not "
+        "account for: it is not one of this sample."
+    ]
+
+
+def _against_others(evidence: Evidence, undetermined: tuple[str, ...]) -> list[str]:
+    """Parameters that have no sentence of their own."""
+    names = [name for name in undetermined if name not in {"alpha", "h", "w"}]
+    if not names or (evidence.has("h") and _h_is_zero(evidence) and set(names) <= _OF_SHIFT):
+        return []
+    return [f"The data do not tell {' and '.join(names)}."]
+
+
+def _outside_the_data(evidence: Evidence) -> list[str]:
+    """What was found where nothing was measured, or where the search ended."""
+    dataset, fitted = evidence.dataset, evidence.fitted
+    alpha, _ = evidence.of("alpha")
+    nearest = float(np.min(np.abs(dataset.theta_out - dataset.theta_in)[fitted]))
+    width = lobe_width(alpha, evidence.distribution)
+    reasons = []
+    if nearest > 0.5 * max(width, dataset.aperture):
+        reasons.append(
+            f"The lobe is {width:.2g} deg wide, but the direction measured nearest to the mirror's is {nearest:.2g} "
+            "deg away from it, so alpha is an extrapolation."
+        )
+    at_bound = [
+        quantity.name
+        for quantity, value in zip(evidence.quantities, evidence.values, strict=True)
+        if quantity.name not in {"alpha", "sharpness"}
+        and not (quantity.name == "w" and evidence.w_fixed)
+        and not quantity.lower + 1e-6 < value < quantity.upper - 1e-6
+    ]
+    if at_bound:
+        reasons.append(f"The search of {' and '.join(at_bound)} ended at its bound.")
+    return reasons
 
 
 def _against_alpha(evidence: Evidence) -> list[str]:
     dataset, reasons = evidence.dataset, []
-    width = lobe_width(evidence.alpha)
+    alpha, u_alpha = evidence.of("alpha")
+    width = lobe_width(alpha, evidence.distribution)
     if width < dataset.aperture:
-        share = (evidence.u_alpha_from_angles / evidence.u_alpha) ** 2 if math.isfinite(evidence.u_alpha) else 0.0
+        share = (evidence.u_alpha_from_angles / u_alpha) ** 2 if math.isfinite(u_alpha) else 0.0
         reasons.append(
             f"The lobe is {width:.2g} deg wide and the aperture {dataset.aperture:.2g} deg, so what was measured is "
             f"mostly the aperture; {share:.0%} of the variance of alpha comes from the stages: standard uncertainties "
             f"of {dataset.u_angle:.2g} deg of a position and {dataset.u_zero:.2g} deg of a zero."
         )
-    if evidence.u_alpha > LARGEST_RELATIVE_ERROR * evidence.alpha:
-        reasons.append(
-            f"alpha is known to {evidence.u_alpha / evidence.alpha:.1%} only; {LARGEST_RELATIVE_ERROR:.0%} would do."
-        )
+    useful = evidence.quantities[0].useful(alpha)
+    if not u_alpha <= useful:
+        reasons.append(f"alpha is known to {u_alpha / alpha:.1%} only; {useful / alpha:.0%} would do.")
     low, high = evidence.scanned_alphas
-    if not low < evidence.alpha < high:
-        reasons.append(f"alpha = {evidence.alpha:.3g} lies outside the range {low:g} to {high:g} of surfaces known.")
+    if not low < alpha < high:
+        reasons.append(f"alpha = {alpha:.3g} lies outside the range {low:g} to {high:g} of surfaces known.")
     bright = int(np.count_nonzero(above_noise(dataset) & evidence.fitted))
     count = int(evidence.fitted.sum())
     if bright < LEAST_SHARE_ABOVE_NOISE * count:
@@ -91,18 +179,20 @@ def _against_alpha(evidence: Evidence) -> list[str]:
 
 
 def _against_shift(evidence: Evidence) -> list[str]:
-    if evidence.h is None or evidence.shift_determined:
+    if not evidence.has("h"):
         return []
-    if abs(evidence.h) <= 3 * evidence.u_h:
-        return [
-            f"h = {evidence.h:.2g} ± {evidence.u_h:.1g} 1/um is compatible with zero, so there is no shift for w to "
-            "describe; w was fixed at 0."
-        ]
+    h, u_h = evidence.of("h")
+    if _h_is_zero(evidence):
+        fixed = "w to describe; w was fixed at 0." if evidence.w_fixed else "the other parameters to describe."
+        return [f"h = {h:.2g} ± {u_h:.1g} 1/um is compatible with zero, so there is no shift for {fixed}"]
+    if not evidence.w_fixed:
+        return []
     return ["The slope does not change measurably with theta_m, so w was fixed at 0 and h is a constant slope."]
 
 
 def _notes(evidence: Evidence) -> list[str]:
     notes = list(flag_sentences(evidence.dataset))
+    notes += evidence.structure.sentences()
     if evidence.residual_ratio > LARGEST_RESIDUAL_RATIO:
         notes.append(
             f"The residuals are {evidence.residual_ratio:.3g} times the combined standard uncertainty of the "

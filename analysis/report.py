@@ -12,9 +12,9 @@ import numpy as np
 
 from analysis.errors import ExportError
 from analysis.export_mitsuba import LARGEST_TESTED_ANGLE, BsdfReport
-from analysis.page import bullets
+from analysis.page import MODEL_NAMES, bullets
 from analysis.report_measured import measured_chapter, shift_chapter
-from analysis.report_models import MODEL_NAMES, models_chapter
+from analysis.report_models import models_chapter
 from analysis.report_quality import budget_chapter, quality_chapter, warnings
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset

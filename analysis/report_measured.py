@@ -4,10 +4,13 @@ import numpy as np
 
 from analysis import figures
 from analysis.filled_figure import STEP
-from analysis.page import figure
+from analysis.page import MODEL_NAMES, figure
 from analysis.results import ModelFit, SampleAnalysis
 from goniometer.between import FEWEST
 from goniometer.fill import TELLS, Filled, fill, unmeasured
+
+TWO_COMPONENT_MODELS = ("global-two-component", "two-component", "dielectric-two-component")
+"""Models whose slope stands beside the cosine, the first of those that were fitted."""
 
 
 def measured_chapter(analysis: SampleAnalysis) -> str:
@@ -78,6 +81,8 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
     """The slopes of the spectra and the global model of them."""
     dataset, local = analysis.dataset, analysis.local
     fit = analysis.model("global")
+    two = next((each for each in analysis.models if each.model in TWO_COMPONENT_MODELS), None)
+    dashed = f"Dashed: {MODEL_NAMES[two.model]}. " if two else ""
     reliable = int(local.reliable.sum())
     good = int(np.sum(local.r2[local.reliable] > 0.9))
     return (
@@ -89,10 +94,10 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
         f"explains more than 90 % of the variation (r² &gt; 0.9) in {good} of these.</p>"
         + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2)
         + figure(
-            figures.slopes(dataset, local, fit, "slopes"),
+            figures.slopes(dataset, local, fit, "slopes", two),
             "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
             f"{figures.COVERAGE}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
-            "directions, θm = |θ out − θ in| / 2. Grey: blocked by the detector.",
+            f"directions, θm = |θ out − θ in| / 2. {dashed}Grey: blocked by the detector.",
             "three",
         )
     )

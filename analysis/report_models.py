@@ -5,28 +5,30 @@ from html import escape
 import numpy as np
 
 from analysis import figures
-from analysis.identify import lobe_width
+from analysis.albedo_figure import albedo_curves
+from analysis.brdf_fit import BRDF_MODELS
+from analysis.distributions import lobe_width
 from analysis.notation import roughly, uncertainty, with_uncertainty
-from analysis.page import figure
+from analysis.page import MODEL_NAMES, figure
 from analysis.results import SampleAnalysis
 from goniometer.uncertainty import PARTS
-
-MODEL_NAMES = {
-    "local": "Local fit",
-    "global": "Global model",
-    "cook-torrance": "Cook-Torrance",
-    "cook-torrance-shift": "Cook-Torrance with shift",
-}
 
 _UNIT = {"1": "", "1/um": "/µm"}
 """How a person reads the unit of a parameter."""
 
+_OF_BRIGHTNESS = set(BRDF_MODELS)
+"""Models that say how bright a direction is, and not its hue alone."""
+
 _MEANING = {
-    "alpha": "roughness of the surface (GGX)",
+    "alpha": "roughness of the surface",
+    "eta": "refractive index",
     "h": "height of the slope's cosine",
     "w": "how fast the slope changes with θm",
     "t_y": "slope that all directions share",
     "p": "exponent of the Fresnel term: how often light was reflected",
+    "kappa": "how much of what is reflected more than once goes back to the lamp",
+    "sharpness": "how suddenly multiple reflections take over",
+    "threshold": "where they take over",
 }
 
 
@@ -40,11 +42,11 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         figures.colour_map(dataset, dataset.brdf, exposure, "measured-again", "Measured", measured=True),
         figures.colour_map(dataset, shifted.fitted, exposure, "cts", "Cook-Torrance with shift"),
     ]
+    others = [fit for fit in analysis.models if fit.distribution and fit not in (plain, shifted)]
+    pictures += [figures.colour_map(dataset, fit.fitted, exposure, fit.model, MODEL_NAMES[fit.model]) for fit in others]
     shown = {
-        "local": ("chromatic", "Local fit, hue"),
-        "global": ("chromatic", "Global model, hue"),
-        "cook-torrance": ("absolute", "Cook-Torrance"),
-        "cook-torrance-shift": ("absolute", "Cook-Torrance with shift"),
+        name: ("absolute", MODEL_NAMES[name]) if name in _OF_BRIGHTNESS else ("chromatic", f"{MODEL_NAMES[name]}, hue")
+        for name in analysis.differences
     }
     values = {name: getattr(analysis.differences[name], kind) for name, (kind, _) in shown.items()}
     largest = max(1.0, *(float(np.nanpercentile(v, 99)) for v in values.values()))
@@ -65,10 +67,12 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         f"{lobe_width(shifted.value('alpha')):.2g}° wide (full width at half maximum). With shift, the same model is "
         "multiplied by the straight line of the chapter above, whose slope is h cos(w θm).</p>"
         + _difference_table(analysis)
+        + _verdict_table(analysis)
         + _parameter_table(analysis)
         + _error_table(analysis)
         + "<h3>Fits beside the measurement</h3>"
         + figure(pictures, "Colours as in the first picture, with the same exposure.", "three")
+        + _albedo_figure(analysis)
         + "<h3>How far off the fits are</h3>"
         + f'<div class="scale">{figures.difference_scale(largest, "scale")}</div>'
         + figure(
@@ -83,11 +87,12 @@ def models_chapter(analysis: SampleAnalysis) -> str:
 def _difference_table(analysis: SampleAnalysis) -> str:
     means = {n: [d.statistics(k)["mean"] for k in ("absolute", "chromatic")] for n, d in analysis.differences.items()}
     rows = []
-    for name in ("cook-torrance", "cook-torrance-shift", "global", "local"):
+    of_brightness = [name for name in means if name in _OF_BRIGHTNESS]
+    for name in [*of_brightness, *(name for name in reversed(means) if name not in of_brightness)]:
         statistics = analysis.differences[name].statistics("absolute")
         cells = [*means[name], statistics["median"], statistics["p95"], statistics["max"]]
         # the local fit and the global model take their brightness from the measurement
-        best = name == min(("cook-torrance", "cook-torrance-shift"), key=lambda n: means[n][0])
+        best = name == min(of_brightness, key=lambda n: means[n][0])
         rows.append(
             f"<tr{' class=best' if best else ''}><td>{MODEL_NAMES[name]}</td>"
             + "".join(f'<td class="number">{value:.2f}</td>' for value in cells)
@@ -115,11 +120,15 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         )
         for parameter in fit.parameters:
             unit = "" if parameter.unit == "1" else f" {_UNIT[parameter.unit]}"
-            trusted = fit.verdict.trusted
-            value = with_uncertainty(parameter.value, parameter.standard_error) if trusted else roughly(parameter.value)
+            if parameter.name in fit.verdict.undetermined:
+                value = "not determined"
+            elif fit.verdict.trusted:
+                value = with_uncertainty(parameter.value, parameter.standard_error) + escape(unit)
+            else:
+                value = roughly(parameter.value) + escape(unit)
             rows.append(
                 f"<tr>{first}<td><code>{escape(parameter.name)}</code></td>"
-                f'<td class="number">{value}{escape(unit)}</td><td>{_MEANING.get(parameter.name, "")}</td></tr>'
+                f'<td class="number">{value}</td><td>{_MEANING.get(parameter.name, "")}</td></tr>'
             )
             first = ""
     return (
@@ -128,8 +137,50 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         f"<th>meaning</th></tr></thead><tbody>{''.join(rows)}</tbody>"
         "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from all errors "
         "of the measurement, each shared by those points and wavelengths that share it. A value with ≈ belongs to a "
-        "fit that is not to be trusted.</caption></table></div>"
+        "fit that is not to be trusted; “not determined” is what the data do not tell.</caption></table></div>"
     )
+
+
+def _verdict_table(analysis: SampleAnalysis) -> str:
+    """What speaks for each model: its fit, and what it gains over the simpler one."""
+    rows = []
+    for fit in analysis.models:
+        gains = ["–", "–", "–"]
+        if fit.comparison is not None:
+            gained = fit.comparison
+            gains = [MODEL_NAMES[gained.simpler], f"{gained.bic:.0f}", f"{gained.dE00:.2f}"]
+        cells = [f"{fit.r2:.4f}", *(gain.replace("-", "−") for gain in gains[1:])]
+        how = fit.cost if fit.distribution is None else f"{fit.cost}; {fit.distribution}"
+        rows.append(
+            f'<tr><td>{MODEL_NAMES[fit.model]}<br><span class="soft">{escape(how)}; {fit.engine}</span></td>'
+            f"<td>{'yes' if fit.verdict.trusted else '⚠ no'}</td>"
+            f'<td class="number">{cells[0]}</td><td>{gains[0]}</td>'
+            + "".join(f'<td class="number">{cell}</td>' for cell in cells[1:])
+            + "</tr>"
+        )
+    return (
+        "<h3>What speaks for each model</h3>"
+        '<div class="wide"><table><thead><tr><th>model, cost, engine</th><th>trusted</th><th class="number">r²</th>'
+        '<th>against the simpler</th><th class="number">BIC falls by</th><th class="number">mean dE00 falls by</th>'
+        f"</tr></thead><tbody>{''.join(rows)}</tbody>"
+        "<caption>r² of ln(1 + cos(θ in) × BRDF), for models of the slopes that of the slopes. A model with more "
+        "parameters has to earn them: by more than 10 in the Bayesian information criterion, in which residuals that "
+        "repeat their neighbours count as few. The banners at the top say why a fit is not trusted.</caption>"
+        "</table></div>"
+    )
+
+
+def _albedo_figure(analysis: SampleAnalysis) -> str:
+    """The diffuse albedos of dielectrics, where such models were fitted."""
+    fits = [fit for fit in analysis.models if fit.albedo is not None]
+    if not fits:
+        return ""
+    curves = figure(
+        [albedo_curves(fits, "albedo")],
+        "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
+        f"uncertainty (coverage factor {figures.COVERAGE}); none where the albedo stands at zero.",
+    )
+    return f'<h3>Diffuse albedo</h3><div class="pair"><div>{curves}</div></div>'
 
 
 def _error_table(analysis: SampleAnalysis) -> str:

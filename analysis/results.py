@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analysis.distributions import Distribution
+from analysis.least_squares import Engine
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 
@@ -31,6 +33,34 @@ class Verdict:
     trusted: bool
     reasons: tuple[str, ...] = ()
     """Whole sentences; empty only when `trusted`."""
+    undetermined: tuple[str, ...] = ()
+    """Names of the parameters that the data do not tell; their values are not to be shown as if they did."""
+    converged: bool = True
+    """Whether the optimiser came to an end by itself."""
+
+
+@dataclass(frozen=True)
+class Albedo:
+    """Diffuse albedo of a dielectric (Eq. 8), all arrays [wavelengths]."""
+
+    wavelengths: FloatArray
+    """nm."""
+    values: FloatArray
+    """r_d, a pure number, at least 0."""
+    u: FloatArray
+    """Standard uncertainty (coverage factor 1); infinite where r_d stands at 0 and nothing more is known."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against a simpler one that it contains, on the same data with the same cost."""
+
+    simpler: str
+    """Name of the simpler model."""
+    bic: float
+    """By how much the Bayesian information criterion falls; above 10 is very strong evidence (Kass & Raftery 1995)."""
+    dE00: float  # noqa: N815  (the field's own spelling)
+    """By how much the mean absolute CIEDE2000 falls; NaN without the visible wavelengths."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +83,16 @@ class LocalFit:
     """[points, wavelengths] the fitted spectra, 1/sr."""
     lambda_n: float
     """Normalisation wavelength, nm."""
+    fresnel: bool = True
+    """False where the exponent was held at 0."""
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """A model fitted to all points at once: the global model, Cook-Torrance, Cook-Torrance times shift."""
+    """A model fitted to all points at once."""
 
     model: str
-    """"global", "cook-torrance" or "cook-torrance-shift"."""
+    """One of `analysis.fits.MODELS`, "local" excepted."""
     equation: str
     """The equation in words of the paper, e.g. "f = shift F G D / (4 cos_i cos_o), Eq. 7"."""
     parameters: tuple[Parameter, ...]
@@ -81,6 +113,16 @@ class ModelFit:
     """Smallest and largest fitted wavelength, nm."""
     clamped_points: int
     """At how many of the dataset's points the shift was clamped at zero somewhere."""
+    engine: Engine = "fast"
+    """What minimised the cost."""
+    distribution: Distribution | None = None
+    """Of the normals; None for a model that has none."""
+    albedo: Albedo | None = None
+    """Of a dielectric."""
+    independent: float = math.nan
+    """As how many independent ones the residuals count, by their autocorrelation."""
+    comparison: Comparison | None = None
+    """With the next simpler model, if there is one."""
 
     def value(self, name: str) -> float:
         """Value of the parameter called `name`; raises `KeyError`."""
@@ -125,7 +167,7 @@ class SampleAnalysis:
     dataset: Dataset
     local: LocalFit
     models: tuple[ModelFit, ...]
-    """Global, Cook-Torrance, Cook-Torrance times shift, in this order."""
+    """In the order in which they were asked for."""
     differences: dict[str, ColourDifferences]
     """By model name, and "local"."""
 

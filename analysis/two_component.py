@@ -33,6 +33,12 @@ from analysis.directions import Directions
 from analysis.errors import OutOfRange
 from drivers.arrays import FloatArray
 
+TWO_COMPONENTS = (
+    "t_y + h (tanh(b (v - v0)) + tanh(b v0)) / b, v = cos(w theta_m) - kappa cos(w theta_d), b^2 the sharpness, "
+    "v0 the threshold"
+)
+"""The slope in one line, for people."""
+
 _SMALL = 1e-3
 """q v^2 below which series, exact to 1e-13, stand for quotients that rounding would spoil."""
 

@@ -14,7 +14,11 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 
+from analysis.distributions import Distribution
 from analysis.errors import AnalysisError
+from analysis.fits import MODELS
+from analysis.least_squares import Engine
+from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
 from api.cli_import import register as add_import
@@ -25,7 +29,7 @@ from api.derive import Export, slug, write_text
 from api.display import duration, progress_display, span
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
-from api.products import Format, export_dataset, fit_dataset, fit_lines, report_dataset
+from api.products import Format, HowToFit, export_dataset, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
@@ -226,13 +230,26 @@ for _verb in ("pause", "resume", "abort"):
 @app.command()
 def fit(
     dataset: DatasetName,
-    model: Annotated[str | None, typer.Option(help="Only this model: local, global, cook-torrance, ...")] = None,
+    model: Annotated[
+        str | None, typer.Option(help=f"Only this model: {', '.join(MODELS)}.", show_default=False)
+    ] = None,
+    engine: Annotated[
+        Engine, typer.Option(help="fast: own derivatives; lmfit: the library, with derivatives by differences.")
+    ] = "fast",
+    distribution: Annotated[Distribution, typer.Option(help="Distribution of the microfacets' normals.")] = "ggx",
+    weight: Annotated[
+        Weight, typer.Option(help="How the cost weighs its terms: all alike, by sin(theta_in), or by their noise.")
+    ] = "none",
+    conductor: Annotated[
+        str, typer.Option(help="Metal of the refractive index database, shelf/book/page.")
+    ] = "main/Al/Cheng",
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Fit a dataset again and store the fits beside the earlier ones."""
     store = existing(database)
-    found = fit_dataset(store, chosen_dataset(store, dataset), model)
+    how = HowToFit(engine, distribution, weight, conductor)
+    found = fit_dataset(store, chosen_dataset(store, dataset), model, how)
     if as_json:
         emit(found)
         return

@@ -1,12 +1,17 @@
 """What can be made of a dataset in the database at any time: fits, files for others, a report."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from analysis.analyse import analyse
+from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
+from analysis.distributions import Distribution
 from analysis.fit_json import analysis_to_json, fit_to_json
+from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
+from analysis.least_squares import Engine
+from analysis.loew import Weight
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import IMPORTED
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
@@ -17,30 +22,49 @@ from goniometer.errors import InputError
 from goniometer.store import Store
 
 Format = Literal["json", "mitsuba"]
-MODELS = ("local", "global", "cook-torrance", "cook-torrance-shift")
 
 
-def fit_dataset(store: Store, dataset_id: int, model: str | None) -> dict[str, Any]:
-    """Fit a dataset anew, store the fits, and return them as JSON: one model, or the whole analysis.
+@dataclass(frozen=True)
+class HowToFit:
+    """What a person may choose of a fit."""
 
-    Raises `InputError` for an unknown model and `FitError` for data that cannot be fitted.
+    engine: Engine = "fast"
+    distribution: Distribution = "ggx"
+    weight: Weight = "none"
+    conductor: str = "main/Al/Cheng"
+    """Name in the refractive index database."""
+
+
+def fit_dataset(store: Store, dataset_id: int, model: str | None, how: HowToFit = HowToFit()) -> dict[str, Any]:
+    """Fit a dataset anew, store the fits, and return them as JSON: one model, or all of a scan's end.
+
+    Raises `InputError` for an unknown model, `UnknownConductor`, and `FitError` for data that cannot be fitted.
     """
     if model is not None and model not in MODELS:
         raise InputError(f'There is no model "{model}"; there are {", ".join(MODELS)}.')
     dataset = store.dataset(dataset_id)
-    conductor = load_conductor()
-    analysis = analyse(dataset, conductor)
+    conductor = load_conductor(*conductor_name(how.conductor))
+    models = AT_THE_END_OF_A_SCAN if model in {None, "local"} else (str(model),)
+    analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
     whole = analysis_to_json(analysis, conductor)
     if model in {None, "local"}:
         store.add_fit(dataset_id, "analysis", whole)
     for fit in analysis.models:
-        if model in {None, fit.model}:
+        if model != "local":
             text = fit_to_json(fit, dataset, analysis.differences[fit.model], conductor)
             store.add_fit(dataset_id, fit.model, text)
     content: dict[str, Any] = json.loads(whole)
     parts = {"local": content["local"]} | {part["model"]: part for part in content["models"]}
     shown = parts if model is None else {model: parts[model]}
     return {"dataset": dataset_id, "sample": dataset.sample, "uncertainties": STATED, "fits": shown}
+
+
+def conductor_name(name: str) -> tuple[str, str, str]:
+    """Shelf, book and page of "shelf/book/page"; raises `InputError` for another form."""
+    match name.split("/"):
+        case [shelf, book, page] if shelf and book and page:
+            return shelf, book, page
+    raise InputError(f'"{name}" is no name of a conductor; it should read shelf/book/page, e.g. main/Al/Cheng.')
 
 
 def fit_lines(found: dict[str, Any]) -> list[str]:
@@ -52,21 +76,29 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
             spread = f", slopes from {min(slopes):.2f} to {max(slopes):.2f} 1/µm" if slopes else ""
             lines.append(f"local: {len(slopes)} of {len(part['reliable'])} spectra are reliable{spread}")
             continue
-        values = [
-            f"{p['name']} {_shown(p, trusted=part['verdict']['trusted'])}"
-            + ("" if p["unit"] == "1" else f" {p['unit']}")
-            for p in part["parameters"]
-        ]
-        difference = part["metrics"]["dE00"]["absolute"]["mean"]
-        lines.append(f"{name}: {', '.join(values)}; mean dE00 {difference:.2f}")
+        values = [f"{p['name']} {_shown(p, part['verdict'])}" for p in part["parameters"]]
+        difference = part["metrics"]["dE00"]
+        means = " / ".join(f"{_number(difference[kind]['mean']):.2f}" for kind in ("absolute", "chromatic"))
+        r2 = f"r2 {_number(part['metrics']['r2']):.4f}"
+        lines.append(f"{name}: {', '.join(values)}; mean dE00 absolute / chromatic {means}; {r2}")
+        if "comparison" in part:
+            other = part["comparison"]
+            lines.append(
+                f"  against {other['simpler_model']}: BIC falls by {_number(other['BIC_falls_by']):.4g}, "
+                f"mean dE00 by {_number(other['mean_dE00_falls_by']):.2f}"
+            )
         word = "note" if part["verdict"]["trusted"] else "do not trust it"
         lines += [f"  {word}: {reason}" for reason in part["verdict"]["reasons"]]
     return lines
 
 
-def _shown(parameter: dict[str, Any], *, trusted: bool) -> str:
-    value = parameter["value"]
-    return with_uncertainty(value, _number(parameter["standard_error"])) if trusted else roughly(value)
+def _shown(parameter: dict[str, Any], verdict: dict[str, Any]) -> str:
+    """A parameter with its unit; one that the data do not tell has no value."""
+    if parameter["name"] in verdict["undetermined"]:
+        return "not determined"
+    value, unit = _number(parameter["value"]), "" if parameter["unit"] == "1" else f" {parameter['unit']}"
+    error = _number(parameter["standard_error"])
+    return (with_uncertainty(value, error) if verdict["trusted"] else roughly(value)) + unit
 
 
 def _number(stored: float | str | None) -> float:
@@ -97,11 +129,16 @@ def _usual_path(dataset: Dataset, ending: str) -> Path:
 
 
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
-    """Write the HTML report of a dataset to `path` or the present folder."""
+    """Write the HTML report of a dataset to `path` or the present folder.
+
+    It shows the models of a scan's end and every other one that the dataset was ever fitted with.
+    """
     dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = IMPORTED if scan_id is None else run_facts(store, store.scan(scan_id))
     target = path or _usual_path(dataset, "html")
-    export = write_analysis_report(target, analyse(dataset, load_conductor()), facts)
+    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
+    models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
+    export = write_analysis_report(target, analyse(dataset, load_conductor(), models), facts)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export

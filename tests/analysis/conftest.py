@@ -5,12 +5,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from analysis.directions import round_aperture, through_aperture
+from analysis.directions import Directions, round_aperture, through_aperture
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, Groups, everywhere
+
+Brdf = Callable[[Directions, FloatArray], FloatArray]
+"""Values [..., wavelengths], 1/sr, at directions [...] and wavelengths, nm."""
 
 U_ANGLE = 0.005
 U_ZERO = 0.01
@@ -79,13 +82,15 @@ def _measure(
     rule: tuple[int, int] = (5, 14),
     wavelength_step: float = 4.6,
     incident: Sequence[float] = (0, 10, 20, 30, 40, 50, 60, 70, 80),
+    brdf: Brdf | None = None,
 ) -> Dataset:
     """Cook-Torrance with shift, measured.
 
     `noise` is relative and `floor` absolute (1/sr), both independent everywhere; a quarter of `noise` comes again
     as the dark's error, shared by the points of one integration time; `reference` is relative, half of its variance
     shared by all points and half by those of one incident angle; `systematic` adds errors that wavelengths and points
-    share, those of the stages' zeros among them; `rule` is the rings and spokes over which the aperture averages.
+    share, those of the stages' zeros among them; `rule` is the rings and spokes over which the aperture averages;
+    `brdf` is what is measured instead, `alpha` then only says where directions lie dense.
     """
     rng = np.random.default_rng(seed)
     theta_in, theta_out = _directions(alpha, incident)
@@ -100,10 +105,11 @@ def _measure(
     true_in = theta_in + sample_error + zero_of_sample
     true_out = theta_out + detector_error + zero_of_detector - sample_error - zero_of_sample
     aperture = round_aperture(1.0, *rule)
+    seen = brdf or (lambda nodes, nm: cook_torrance(nodes, nm, alpha, load_conductor(), h, w))
     clean = np.empty((theta_in.size, wavelengths.size))
     for i in range(theta_in.size):  # one by one, for a fine rule does not fit into memory otherwise
         nodes = through_aperture(true_in[i : i + 1], true_out[i : i + 1], aperture)
-        clean[i] = aperture.weights @ cook_torrance(nodes, wavelengths, alpha, load_conductor(), h, w)[0]
+        clean[i] = aperture.weights @ seen(nodes, wavelengths)[0]
     # irradiance goes with the cosine of the true angle, of the sample and of the reference panel before it; the zero
     # was the same for both
     at_reference = theta_in + error_at_reference + zero_of_sample

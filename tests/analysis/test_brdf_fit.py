@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import cook_torrance_fit, shift_fit
-from analysis.distributions import ndf
+from analysis.brdf_fit import brdf_fit
+from analysis.distributions import Distribution, lobe_width, ndf
 from analysis.errors import FitError, OutOfRange
-from analysis.identify import lobe_width
 from goniometer.dataset import Dataset, Flag
 
 Measure = Callable[..., Dataset]
@@ -23,19 +22,19 @@ SAMPLES = {
 
 
 def z_scores(dataset: Dataset, truth: tuple[float, float, float]) -> list[float]:
-    fit = shift_fit(dataset)
+    fit = brdf_fit(dataset)
     return [(p.value - value) / p.standard_error for p, value in zip(fit.parameters, truth, strict=True)]
 
 
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_the_samples_of_the_bench_are_recovered_and_trusted(measure: Measure, sample: int) -> None:
     dataset = measure(*SAMPLES[sample], seed=sample)
-    fit = shift_fit(dataset)
+    fit = brdf_fit(dataset)
     assert fit.verdict.trusted
     assert fit.verdict.reasons == ()
     assert fit.r2 > 0.999
     assert np.all(np.abs(z_scores(dataset, SAMPLES[sample])) < 4)
-    plain = cook_torrance_fit(dataset)
+    plain = brdf_fit(dataset, "cook-torrance")
     assert plain.verdict.trusted
     assert plain.cost_value > 10 * fit.cost_value
     assert any("standard errors are inflated" in reason for reason in plain.verdict.reasons)
@@ -86,7 +85,7 @@ def test_errors_of_the_zeros_are_as_large_as_stated_though_all_points_share_them
 
 def test_the_parts_of_a_standard_error_make_up_the_whole(measure: Measure) -> None:
     dataset = measure(*SAMPLES[4], systematic=True, wavelength_step=23.0)
-    for fit in (cook_torrance_fit(dataset), shift_fit(dataset)):
+    for fit in (brdf_fit(dataset, "cook-torrance"), brdf_fit(dataset)):
         for parameter in fit.parameters:
             assert set(parameter.error_by_part) == {
                 "random", "dark", "reference", "non-linearity", "angle", "wavelength", "drift", "stray light",
@@ -99,12 +98,12 @@ def test_the_parts_of_a_standard_error_make_up_the_whole(measure: Measure) -> No
 def test_no_roughness_is_missed_for_want_of_a_good_start(measure: Measure, alpha: float) -> None:
     wide = (16, 40) if alpha < 0.05 else (5, 14)
     dataset = measure(alpha, 0.9, 4.0, noise=1e-4, reference=0.0, floor=1e-8, rule=wide, incident=(0, 20, 40))
-    assert shift_fit(dataset).value("alpha") == pytest.approx(alpha, rel=0.01)
+    assert brdf_fit(dataset).value("alpha") == pytest.approx(alpha, rel=0.01)
 
 
 def test_no_shift_of_a_narrow_lobe_is_missed_for_want_of_a_good_start(measure: Measure) -> None:
     # between two roughnesses of the scan the lobe's misfit is larger than the whole shift
-    fit = shift_fit(measure(0.03, -1.0, 8.0, wavelength_step=46.0, incident=(0, 20, 40, 60)))
+    fit = brdf_fit(measure(0.03, -1.0, 8.0, wavelength_step=46.0, incident=(0, 20, 40, 60)))
     assert fit.value("h") == pytest.approx(-1, abs=4 * fit.standard_error("h"))
     assert fit.value("w") == pytest.approx(8, abs=4 * fit.standard_error("w"))
 
@@ -116,7 +115,7 @@ def mirror(measure: Measure) -> Dataset:
 
 
 def test_a_mirror_seen_through_its_aperture_is_not_trusted(mirror: Dataset) -> None:
-    fit = cook_torrance_fit(mirror)
+    fit = brdf_fit(mirror, "cook-torrance")
     assert not fit.verdict.trusted
     assert any("aperture" in reason and "of a zero" in reason for reason in fit.verdict.reasons)
     assert fit.value("alpha") == pytest.approx(0.0045, rel=0.02)
@@ -124,7 +123,7 @@ def test_a_mirror_seen_through_its_aperture_is_not_trusted(mirror: Dataset) -> N
 
 
 def test_the_shift_of_a_mirror_is_said_to_be_none(mirror: Dataset) -> None:
-    fit = shift_fit(mirror)
+    fit = brdf_fit(mirror)
     assert not fit.verdict.trusted
     assert any("compatible with zero" in reason for reason in fit.verdict.reasons)
     assert fit.value("w") == 0
@@ -136,10 +135,10 @@ def test_the_shift_of_a_mirror_is_said_to_be_none(mirror: Dataset) -> None:
 def test_a_rough_surface_without_shift_is_not_given_one(measure: Measure) -> None:
     for seed in range(5):
         dataset = measure(0.25, seed=seed, wavelength_step=23.0)
-        fit = shift_fit(dataset)
+        fit = brdf_fit(dataset)
         assert not fit.verdict.trusted
         assert fit.value("alpha") == pytest.approx(0.25, rel=1e-3)
-        assert cook_torrance_fit(dataset).verdict.trusted
+        assert brdf_fit(dataset, "cook-torrance").verdict.trusted
 
 
 def test_saturated_points_are_left_out_and_counted(measure: Measure) -> None:
@@ -147,7 +146,7 @@ def test_saturated_points_are_left_out_and_counted(measure: Measure) -> None:
     saturated = np.abs(dataset.theta_out - dataset.theta_in) < 3
     spoilt = np.where(saturated[:, None], 0.1, dataset.brdf)
     flags = np.where(saturated, Flag.SATURATED, 0).astype(np.uint16)
-    fit = shift_fit(replace(dataset, brdf=spoilt, flags=flags))
+    fit = brdf_fit(replace(dataset, brdf=spoilt, flags=flags))
     assert fit.value("alpha") == pytest.approx(0.18, rel=1e-3)
     assert any(reason.startswith(f"{saturated.sum()} of") for reason in fit.verdict.reasons)
     assert fit.fitted.shape == dataset.brdf.shape
@@ -156,14 +155,14 @@ def test_saturated_points_are_left_out_and_counted(measure: Measure) -> None:
 def test_the_cost_is_that_of_the_fitted_values(measure: Measure) -> None:
     dataset = measure(*SAMPLES[3])
     cos_in = np.cos(np.radians(dataset.theta_in))[:, None]
-    for fit in (cook_torrance_fit(dataset), shift_fit(dataset)):
+    for fit in (brdf_fit(dataset, "cook-torrance"), brdf_fit(dataset)):
         residual = np.log1p(cos_in * fit.fitted) - np.log1p(cos_in * dataset.brdf)
         assert fit.cost == "loew"
         assert fit.cost_value == pytest.approx(np.sum(residual**2), rel=1e-9)
 
 
 def test_weights_change_the_name_of_the_cost_and_not_the_answer(measure: Measure) -> None:
-    fit = shift_fit(measure(*SAMPLES[2]), weighted=True)
+    fit = brdf_fit(measure(*SAMPLES[2]), weight="uncertainty")
     assert "uncertainty" in fit.cost
     assert fit.value("alpha") == pytest.approx(0.28, rel=2e-3)
     assert abs(fit.value("h") - 1.5) < 4 * fit.standard_error("h")
@@ -174,24 +173,25 @@ def test_noise_far_below_zero_does_not_break_the_logarithm(measure: Measure) -> 
     brdf = dataset.brdf.copy()
     brdf[::40, ::10] = -50.0
     brdf[5, 3:9] = np.nan
-    assert shift_fit(replace(dataset, brdf=brdf)).value("alpha") == pytest.approx(0.113, rel=0.1)
+    assert brdf_fit(replace(dataset, brdf=brdf)).value("alpha") == pytest.approx(0.113, rel=0.1)
 
 
 def test_a_signal_drowned_in_noise_is_not_trusted(measure: Measure) -> None:
-    fit = cook_torrance_fit(measure(0.02, floor=30.0, wavelength_step=23.0))
+    fit = brdf_fit(measure(0.02, floor=30.0, wavelength_step=23.0), "cook-torrance")
     assert any("above the noise" in reason for reason in fit.verdict.reasons)
 
 
 def test_wavelengths_beyond_the_metal_and_too_few_points_are_refused(measure: Measure) -> None:
     dataset = measure(*SAMPLES[1], incident=(0,))
     with pytest.raises(OutOfRange):
-        shift_fit(replace(dataset, wavelengths=dataset.wavelengths + 100))
+        brdf_fit(replace(dataset, wavelengths=dataset.wavelengths + 100))
     with pytest.raises(FitError, match="left out of all fits: footprint leaves the sample"):
-        cook_torrance_fit(replace(dataset, flags=np.full_like(dataset.flags, Flag.CLIPPED)))
+        brdf_fit(replace(dataset, flags=np.full_like(dataset.flags, Flag.CLIPPED)), "cook-torrance")
 
 
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
 @pytest.mark.parametrize("alpha", [0.0045, 0.1, 0.4])
-def test_lobe_width_is_where_the_distribution_halves(alpha: float) -> None:
-    half_angle = np.radians(lobe_width(alpha) / 4)
-    ratio = ndf(np.array([np.cos(half_angle)]), alpha) / ndf(np.array([1.0]), alpha)
+def test_lobe_width_is_where_the_distribution_halves(alpha: float, distribution: Distribution) -> None:
+    half_angle = np.radians(lobe_width(alpha, distribution) / 4)
+    ratio = ndf(np.array([np.cos(half_angle)]), alpha, distribution) / ndf(np.array([1.0]), alpha, distribution)
     assert ratio[0] == pytest.approx(0.5, abs=1e-9)

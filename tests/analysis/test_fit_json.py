@@ -9,11 +9,12 @@ import pytest
 
 from analysis.analyse import analyse
 from analysis.directions import in_plane
-from analysis.errors import ExportError
-from analysis.fit_json import analysis_to_json, evaluate, fit_from_json, fit_to_json
+from analysis.errors import ExportError, OutOfRange
+from analysis.fit_json import analysis_to_json, fit_from_json, fit_to_json
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
 from analysis.results import Parameter, SampleAnalysis, Verdict
+from analysis.stored_fit import evaluate
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.errors import InputError
 
@@ -23,7 +24,7 @@ def rough_analysis(measure: Callable[..., Dataset]) -> SampleAnalysis:
     """All fits of a rough sample, three incident angles of it."""
     dataset = measure(0.28, 1.5, 2.6, incident=(10, 40, 70), wavelength_step=9.0)
     lineage: dict[str, object] = {"scan": 3, "exposures": list(range(70)), "software_version": "0.1.0"}
-    return analyse(replace(dataset, sample="disc <2>", lineage=lineage))
+    return analyse(replace(dataset, sample="disc <2>", lineage=lineage), models=EVERY)
 
 
 def _saved(analysis: SampleAnalysis, model: str) -> str:
@@ -34,16 +35,25 @@ def _refuse(name: str) -> None:
     raise AssertionError(f"{name} is not strict JSON")
 
 
-@pytest.mark.parametrize("model", ["global", "cook-torrance", "cook-torrance-shift"])
+EVERY = ("global", "global-two-component", "cook-torrance", "cook-torrance-shift", "two-component", "dielectric-shift")
+
+
+@pytest.mark.parametrize("model", EVERY)
 def test_a_reloaded_fit_is_the_same_bit_for_bit(rough_analysis: SampleAnalysis, model: str) -> None:
     fit, dataset = rough_analysis.model(model), rough_analysis.dataset
     stored = fit_from_json(_saved(rough_analysis, model))
     for name in (
         "model", "equation", "parameters", "verdict", "cost", "cost_value", "r2", "lambda_n", "theta_range",
-        "wavelength_range", "clamped_points",
+        "wavelength_range", "clamped_points", "engine", "distribution", "comparison", "independent",
     ):  # fmt: skip
         assert getattr(stored, name) == getattr(fit, name), name
     np.testing.assert_array_equal(stored.correlation, fit.correlation)
+    if fit.albedo is not None:
+        assert stored.albedo is not None
+        for name in ("wavelengths", "values", "u"):
+            np.testing.assert_array_equal(getattr(stored.albedo, name), getattr(fit.albedo, name))
+    assert (stored.albedo is None) == (fit.albedo is None)
+    assert (stored.conductor is None) == (fit.albedo is not None)
     assert (stored.sample, stored.dataset_hash) == (dataset.sample, dataset.content_hash)
     assert (stored.points, stored.aperture) == (dataset.theta_in.size, 1.0)
     assert stored.colour_difference["absolute"] == rough_analysis.differences[model].statistics("absolute")
@@ -75,6 +85,23 @@ def test_the_reloaded_global_model_gives_the_values_that_were_fitted(rough_analy
     np.testing.assert_allclose(normalised * local.scale[:, None], rough_analysis.model("global").fitted, rtol=1e-9)
 
 
+@pytest.mark.parametrize("model", ["two-component", "dielectric-shift"])
+def test_a_reloaded_model_is_what_a_detector_without_an_aperture_would_read(
+    rough_analysis: SampleAnalysis, model: str
+) -> None:
+    fit, dataset = rough_analysis.model(model), rough_analysis.dataset
+    stored = fit_from_json(_saved(rough_analysis, model))
+    values = evaluate(stored, dataset.theta_in, dataset.theta_out, dataset.wavelengths)
+    # lobes of 18 degrees and more are nearly the same through one degree
+    np.testing.assert_allclose(values, fit.fitted, rtol=5e-3)
+
+
+def test_an_albedo_is_not_invented_beyond_its_wavelengths(rough_analysis: SampleAnalysis) -> None:
+    stored = fit_from_json(_saved(rough_analysis, "dielectric-shift"))
+    with pytest.raises(OutOfRange, match="albedo is known from 382"):
+        evaluate(stored, np.array([20.0]), np.array([30.0]), np.array([370.0, 500.0]))
+
+
 def test_what_is_not_determined_survives_strict_json(rough_analysis: SampleAnalysis) -> None:
     parameters = (
         Parameter("alpha", 0.1, float("inf"), "1"),
@@ -104,8 +131,8 @@ def test_what_is_not_determined_survives_strict_json(rough_analysis: SampleAnaly
         ("[1, 2]", "JSON object"),
         ('{"schema": "something-else"}', '"goniometer-fit"'),
         ('{"schema": "goniometer-fit", "schema_version": 99}', "schema version 99"),
-        ('{"schema": "goniometer-fit", "schema_version": 2}', "is missing"),
-        ('{"schema": "goniometer-fit", "schema_version": 2, "r2": NaN}', "NaN is not JSON"),
+        ('{"schema": "goniometer-fit", "schema_version": 3}', "is missing"),
+        ('{"schema": "goniometer-fit", "schema_version": 3, "r2": NaN}', "NaN is not JSON"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(text: str, complaint: str) -> None:
@@ -141,7 +168,7 @@ def test_a_damaged_field_is_refused_and_never_guessed(
 def test_the_whole_analysis_is_strict_json_and_holds_every_point_once(rough_analysis: SampleAnalysis) -> None:
     document = json.loads(analysis_to_json(rough_analysis, load_conductor()), parse_constant=_refuse)
     assert document["dataset"]["sha256"] == rough_analysis.dataset.content_hash
-    assert [m["model"] for m in document["models"]] == ["global", "cook-torrance", "cook-torrance-shift"]
+    assert [m["model"] for m in document["models"]] == list(EVERY)
     local = document["local"]
     assert local["theta_out_deg"] == rough_analysis.dataset.theta_out.tolist()
     assert local["m_per_um"] == rough_analysis.local.slope.tolist()

@@ -1,5 +1,6 @@
 """The global fit finds the best cosine, says how sure it is, and when there is none."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -101,6 +102,19 @@ def test_slopes_that_do_not_depend_on_theta_m_are_not_trusted_to_have_a_cosine()
         fit = global_fit(dataset, local_fit(dataset))
         untrusted += not fit.verdict.trusted and any("constant" in reason for reason in fit.verdict.reasons)
     assert untrusted == 8
+
+
+def test_two_cosines_that_the_directions_cannot_tell_apart_are_both_named() -> None:
+    dataset = made(0.6, 8.0, 0.1, p=1.0)
+    local = local_fit(dataset)
+    # theta_m is a multiple of 20 degrees, where cos(8 theta_m) = cos(10 theta_m)
+    regular = np.isclose((THETA_OUT - THETA_IN) % 40, 0)
+    fit = global_fit(dataset, replace(local, reliable=local.reliable & regular))
+    assert not fit.verdict.trusted
+    (reason,) = (reason for reason in fit.verdict.reasons if "minima are as good" in reason)
+    found = {round(fit.value("w")), *(int(w) for w in re.findall(r"w = (\d+)", reason))}
+    assert {8, 10} <= found
+    assert "minima" not in " ".join(global_fit(dataset, local).verdict.reasons)
 
 
 def test_scatter_beyond_the_noise_widens_the_errors_and_is_said() -> None:

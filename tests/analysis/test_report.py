@@ -94,6 +94,25 @@ def test_the_report_needs_no_network(html: str, page: _Reader) -> None:
     assert len(html.encode()) < 3e6
 
 
+def test_any_model_has_its_pictures_its_verdict_and_what_it_gains(rough_analysis: SampleAnalysis) -> None:
+    models = ("global", "global-two-component", "cook-torrance", "cook-torrance-shift", "dielectric")
+    analysis = analyse(rough_analysis.dataset, models=models)
+    html = report_html(analysis, FACTS)
+    page = _Reader()
+    page.feed(html)
+    table = page.text[page.text.index("What speaks for each model") : page.text.index("Parametersmodel")]
+    gained = analysis.model("cook-torrance-shift").comparison
+    assert gained is not None
+    assert f"Cook-Torrance{gained.bic:.0f}{gained.dE00:.2f}" in table
+    assert "loew; ggx; fast" in table
+    assert "Diffuse albedo" in page.text
+    assert "Dashed: Global model, two components" in page.text
+    # a second component is not there, so the data do not tell where it would take over
+    assert "thresholdnot determined" in page.text
+    ids = re.findall(r'\sid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+
+
 def test_ids_are_unique_in_the_whole_page(html: str) -> None:
     ids = re.findall(r'\sid="([^"]+)"', html)
     assert len(ids) == len(set(ids))

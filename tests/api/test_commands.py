@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.fit_json import fit_from_json
+
 Small = tuple[Path, dict[str, Any]]
 
 
@@ -84,6 +86,34 @@ def test_fitting_again_gives_the_same_numbers(cli: Any, small: Small) -> None:
     first = {p["name"]: p["value"] for p in result["samples"][0]["parameters"]["cook-torrance-shift"]}
     assert {p["name"]: p["value"] for p in fitted["parameters"]} == first
     assert "k = 1" in cli("fit", "Mirror", cwd=folder).stdout
+
+
+def test_any_model_can_be_fitted_in_any_way_and_then_stands_in_the_report(
+    cli: Any, small: Small, tmp_path: Path
+) -> None:
+    folder, result = small
+    ways = ("--model", "two-component", "--distribution", "beckmann", "--weight", "sine")
+    done = cli("fit", "Sample 1", *ways, "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    fitted = json.loads(done.stdout)["fits"]["two-component"]
+    assert fitted["distribution"] == "beckmann"
+    assert fitted["metrics"]["cost"]["name"] == "loew, terms weighted by sin(theta_in)"
+    assert fitted["comparison"]["simpler_model"] == "cook-torrance-shift"
+    with sqlite3.connect(folder / "goniometer.db") as database:
+        ((text,),) = database.execute("SELECT json FROM fits WHERE model = 'two-component'")
+    stored = fit_from_json(text)
+    assert {p.name: p.value for p in stored.parameters} == {p["name"]: p["value"] for p in fitted["parameters"]}
+    page = tmp_path / "page.html"
+    assert cli("report", "Sample 1", "--output", page, cwd=folder).returncode == 0
+    assert "Cook-Torrance, two components" in page.read_text(encoding="utf-8")
+    # what a campaign came to is still what was fitted when its scan ended
+    assert (
+        json.loads(cli("run", "small.yaml", "--json", cwd=folder).stdout)["samples"][0]["parameters"]
+        == (result["samples"][0]["parameters"])
+    )
+    refused = cli("fit", "Sample 1", "--conductor", "gold", cwd=folder)
+    assert refused.returncode == 2
+    assert "shelf/book/page" in refused.stderr
 
 
 def test_exports_and_reports_can_be_written_at_any_time(cli: Any, small: Small, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import shift_fit
+from analysis.brdf_fit import brdf_fit
 from api.demo import SAMPLES
 from goniometer.calibration import calibrate_scan
 from goniometer.campaign import Campaign
@@ -25,7 +25,7 @@ def z_scores(folder: Path, seed: int) -> list[list[float]]:
     found = []
     for scan in measure(store, campaign):
         if scan.kind == "sample":
-            fit = shift_fit(calibrate_scan(store, scan.id))
+            fit = brdf_fit(calibrate_scan(store, scan.id))
             assert fit.verdict.trusted
             truth = MATERIALS[scan.material]
             found.append([(p.value - getattr(truth, p.name)) / p.standard_error for p in fit.parameters])

@@ -1,0 +1,130 @@
+"""Any of the models by name, each compared with the simpler one that it contains."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
+from analysis.colour import COLOUR_RANGE, colour_differences
+from analysis.directions import Directions
+from analysis.distributions import Distribution
+from analysis.errors import FitError
+from analysis.fresnel import Conductor, load_conductor
+from analysis.global_fit import SLOPE_MODELS, global_fit, slope_and_derivative
+from analysis.least_squares import Engine
+from analysis.local_fit import local_fit
+from analysis.loew import Weight
+from analysis.microfacet import slope_of
+from analysis.results import Comparison, LocalFit, ModelFit, Verdict
+from drivers.arrays import FloatArray
+from goniometer.dataset import Dataset
+
+MODELS = ("local", "global", "global-two-component", *BRDF_MODELS)
+"""Names of all models that can be fitted."""
+
+SIMPLER = {
+    "global": "constant-slope",
+    "global-two-component": "global",
+    "cook-torrance-shift": "cook-torrance",
+    "two-component": "cook-torrance-shift",
+    "dielectric-shift": "dielectric",
+    "dielectric-two-component": "dielectric-shift",
+}
+"""The model that each contains, and against which it has to prove itself."""
+
+STRONG_EVIDENCE = 10.0
+"""Fall of the Bayesian information criterion that is very strong evidence (Kass & Raftery 1995)."""
+
+
+def fit_models(
+    dataset: Dataset,
+    local: LocalFit,
+    models: tuple[str, ...],
+    conductor: Conductor | None = None,
+    engine: Engine = "fast",
+    distribution: Distribution = "ggx",
+    weight: Weight = "none",
+) -> tuple[ModelFit, ...]:
+    """Fit `models`, names of `MODELS` but "local", to `dataset`; `local` is its local fit.
+
+    Each is compared with the simpler model that it contains, which is fitted too where it is not among `models`. One
+    that is no better by the Bayesian information criterion is not trusted. `conductor`, `distribution` and `weight` as
+    in `analysis.brdf_fit`. Raises `FitError` for an unknown model and what the fits raise.
+    """
+    unknown = [model for model in models if model not in MODELS or model == "local"]
+    if unknown:
+        raise FitError(f'There is no model "{unknown[0]}" of all spectra; there are {", ".join(MODELS[1:])}.')
+    found: dict[str, ModelFit] = {}
+
+    def fitted(model: str) -> ModelFit:
+        if model not in found:
+            found[model] = (
+                brdf_fit(dataset, model, conductor, engine, distribution, weight)
+                if model in BRDF_MODELS
+                else global_fit(dataset, local, conductor, engine, model)
+            )
+        return found[model]
+
+    return tuple(
+        compared(fitted(model), fitted(SIMPLER[model]), dataset) if model in SIMPLER else fitted(model)
+        for model in models
+    )
+
+
+def local_fit_for(
+    dataset: Dataset, models: tuple[str, ...], conductor: Conductor | None = None, engine: Engine = "fast"
+) -> LocalFit:
+    """The local fit for `models`: without Fresnel term (section 5.6) where all of them are of a dielectric."""
+    of_dielectric = bool(models) and all(model.startswith("dielectric") for model in models)
+    return local_fit(dataset, conductor, engine=engine, fresnel=not of_dielectric)
+
+
+def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset) -> ModelFit:
+    """`fit` with its comparison to a simpler model of the same cost, and a verdict that knows of it.
+
+    The Bayesian information criterion is n ln(cost / n) + k ln(n) (Schwarz 1978) with k parameters and n independent
+    residuals, as which the residuals of `fit` count by their autocorrelation: that of all residuals would call every
+    trifle significant where neighbours repeat each other.
+    """
+    n = max(fit.independent, 2.0)
+    more = len(fit.parameters) - len(simpler.parameters)
+    bic = n * math.log(simpler.cost_value / fit.cost_value) - more * math.log(n) if fit.cost_value > 0 else math.inf
+    gained = _mean_difference(dataset, simpler.fitted) - _mean_difference(dataset, fit.fitted)
+    comparison = Comparison(simpler.model, bic, gained)
+    evidence = f"BIC falls by {bic:.3g}, mean dE00 by {gained:.2g}"
+    verdict = fit.verdict
+    if not bic > STRONG_EVIDENCE:
+        against = f"The simpler model {simpler.model} explains the data as well ({evidence}; a BIC by 10 would do)."
+        verdict = replace(verdict, trusted=False, reasons=(*_against(verdict), against, *_notes(verdict)))
+    elif gained < 0:
+        note = f"The simpler model {simpler.model} costs more but has the smaller colour difference ({evidence})."
+        verdict = replace(verdict, reasons=(*verdict.reasons, note))
+    return replace(fit, comparison=comparison, verdict=verdict)
+
+
+def fitted_slope(fit: ModelFit, directions: Directions) -> FloatArray:
+    """[...] slope of the shift that a fit gives at `directions` [...], 1/um; zero for a model without shift."""
+    parameters = np.array([parameter.value for parameter in fit.parameters if parameter.name != "p"])
+    if fit.model in SLOPE_MODELS:
+        return slope_and_derivative(fit.model, directions, parameters)[0]
+    form = form_of(fit.model, None if fit.albedo is not None else load_conductor(), fit.distribution or "ggx")
+    return slope_of(form, directions, parameters)
+
+
+def _against(verdict: Verdict) -> tuple[str, ...]:
+    return () if verdict.trusted else verdict.reasons
+
+
+def _notes(verdict: Verdict) -> tuple[str, ...]:
+    return verdict.reasons if verdict.trusted else ()
+
+
+def _mean_difference(dataset: Dataset, fitted: FloatArray) -> float:
+    """Mean absolute CIEDE2000 to the measurement; NaN where the wavelengths have no colour."""
+    low, high = float(dataset.wavelengths[0]), float(dataset.wavelengths[-1])
+    if low > COLOUR_RANGE[0] or high < COLOUR_RANGE[1]:
+        return math.nan
+    differences = colour_differences(dataset.brdf, fitted, dataset.wavelengths, dataset.theta_in).absolute
+    usable = differences[np.isfinite(differences)]
+    return float(usable.mean()) if usable.size else math.nan
