@@ -9,6 +9,7 @@ from api.display import duration, span
 from goniometer.campaign import Campaign, Integration
 from goniometer.conditions import Conditions
 from goniometer.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
+from goniometer.exposure import once
 from goniometer.geometry import Geometry
 from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
@@ -142,9 +143,11 @@ def _leg(
     alone = expected(path, spec.motion, integration, dead_time=dead_time)
     longest = most / len(path)
     time = Expected(alone.seconds * math.sqrt(longest), alone.low, alone.high * longest)
-    look = unknown_exposure(campaign.integration).seconds
+    look = unknown_exposure(once(campaign.integration))
     darks, longest_time = unknown_darks(campaign), campaign.integration.maximum
     time += besides(campaign, spec.motion, len(spec.theta_in), time, longest_time, look, darks)
+    if campaign.monitor is not None:
+        time += look  # at the lamp, before the first point
     sample, detector = way.sample, way.detector
     if is_sample and campaign.prescan is not None:
         swept = cost(path, spec, campaign.prescan, spec.motion)

@@ -14,9 +14,9 @@ import numpy as np
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Campaign, Integration, Prescan
-from goniometer.duration import DARKS, STRAY_SCANS, besides
+from goniometer.duration import DARKS, STRAY_SCANS, besides, unknown_exposure
 from goniometer.errors import GeometryError
-from goniometer.exposure import DarkSignal, detector_of, ladder, step_down, take
+from goniometer.exposure import DarkSignal, detector_of, ladder, once, step_down, take
 from goniometer.geometry import Geometry
 from goniometer.instrument import Instrument
 from goniometer.moves import ARRIVAL
@@ -80,11 +80,6 @@ def _signal(counts: CountArray, temperature: float) -> DarkSignal:
     return DarkSignal(np.asarray(counts.mean(axis=0)), float(counts.var(axis=0, ddof=1).mean()), temperature)
 
 
-def once(policy: Integration) -> Integration:
-    """The policy of a single spectrum of the time that suits what is seen."""
-    return policy.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
-
-
 class Auxiliary:
     """Stray light, sweeps and monitors of one run of a scan, of which `raw` holds what earlier runs have taken."""
 
@@ -124,14 +119,15 @@ class Auxiliary:
         campaign, policy = self._campaign, self._campaign.integration
         angles = {p.theta_in for p in path if all(abs(p.theta_in - t) > ARRIVAL for t in self._settled)}
         stray = policy.maximum if self._stray_time is None else self._stray_time
-        look = policy.maximum if self._monitor_time is None else self._monitor_time
+        time = self._monitor_time
+        look = unknown_exposure(once(policy)) if time is None else Expected(time, time, time)
         motion = self._instrument.motion
-        time = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(policy))
+        due = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(policy))
         if self._prescan is None:
-            return time
+            return due
         unseen = [p for p in path if all(abs(p.theta_in - t) > ARRIVAL for t in self._swept)]
         sweeping = cost(unseen, self._spec, self._prescan, motion).seconds
-        return time + Expected(sweeping, sweeping, sweeping)
+        return due + Expected(sweeping, sweeping, sweeping)
 
     async def closing(self) -> None:
         """Look at the lamp once more after the last point. Raises `DriverError`."""

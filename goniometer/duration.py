@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from goniometer.campaign import Campaign, Integration
-from goniometer.exposure import PROBE_FRACTION, ladder
+from goniometer.exposure import PROBE_FRACTION, ladder, once
 from goniometer.geometry import Geometry
 from goniometer.records import Expected, ExposureTime, Point
 from goniometer.route import Motion, travel
@@ -119,24 +119,24 @@ def unknown_exposure(integration: Integration) -> Expected:
 
 
 def besides(
-    campaign: Campaign, motion: Motion, angles: int, lasts: Expected, stray: float, look: float, darks: Expected
+    campaign: Campaign, motion: Motion, angles: int, lasts: Expected, stray: float, look: Expected, darks: Expected
 ) -> Expected:
     """Time of a scan for what belongs to no point.
 
-    Stray light at so many incident `angles`, in spectra of `stray` seconds; looks at the lamp of `look` seconds while
-    the points last as long as `lasts` says, and at the end; and `darks`. Each detour turns the arm by 45 degrees and
+    Stray light at so many incident `angles`, in spectra of `stray` seconds; looks at the lamp that last as `look` says
+    while the points last as `lasts` does, and at the end; and `darks`. Each detour turns the arm by 45 degrees and
     back.
     """
     detour = 2 * motion.seconds(Geometry(0.0, 0.0), Geometry(0.0, 45.0))
     facing = angles * (STRAY_SCANS * stray + detour) if campaign.stray_light else 0.0
     parts = []
-    for time, dark, whole in (
-        (lasts.seconds, darks.seconds, float),
-        (lasts.low, darks.low, floor),
-        (lasts.high, darks.high, ceil),
+    for time, dark, each, whole in (
+        (lasts.seconds, darks.seconds, look.seconds, float),
+        (lasts.low, darks.low, look.low, floor),
+        (lasts.high, darks.high, look.high, ceil),
     ):
         looks = 0.0 if campaign.monitor is None else 1 + whole((time + facing + dark) / campaign.monitor.every)
-        parts.append(facing + looks * (look + detour) + dark)
+        parts.append(facing + looks * (each + detour) + dark)
     return Expected(*parts)
 
 
@@ -145,7 +145,7 @@ def unknown_darks(campaign: Campaign) -> Expected:
 
     And of the longest one, with which stray light is taken.
     """
-    alone = campaign.integration.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
+    alone = once(campaign.integration)
     each, times = unknown_exposure(alone), ladder(alone)
     longest = campaign.integration.maximum if campaign.stray_light else 0.0
     return Expected(

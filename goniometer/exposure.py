@@ -134,6 +134,11 @@ def ladder(policy: Integration) -> tuple[float, ...]:
     return tuple(sorted({round(time * 1e6) / 1e6 for time in [policy.minimum, *times]}))
 
 
+def once(policy: Integration) -> Integration:
+    """The policy of a single spectrum of the time that suits what is seen."""
+    return policy.model_copy(update={"scans": 1, "signal_to_noise": None, "exposures": 1})
+
+
 def step_down(time: float, policy: Integration) -> float:
     """Integration time, s, that is tried after a spectrum of `time` seconds was saturated; at least the shortest."""
     times = ladder(policy)

@@ -14,10 +14,10 @@ import numpy as np
 from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.errors import DeviceTimeout
-from goniometer.auxiliary import Darks, once
+from goniometer.auxiliary import Darks
 from goniometer.campaign import Campaign
 from goniometer.errors import ConditionsUnmet
-from goniometer.exposure import Detector, take
+from goniometer.exposure import Detector, once, take
 from goniometer.instrument import Instrument
 from goniometer.plan import monitor_direction, plan_spec
 from goniometer.progress import Waiting

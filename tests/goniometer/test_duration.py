@@ -64,12 +64,14 @@ def test_looks_at_the_lamp_stray_light_and_darks_are_counted():
         integration=Integration(maximum=4.0),
     )
     detour = 2 * MOTION.detector.seconds(0.0, 45.0) + 2 * 0.5
-    told = besides(campaign, MOTION, 3, Expected(450.0, 0.0, 1000.0), 4.0, 2.0, Expected(10.0, 0.0, 100.0))
+    look = Expected(2.0, 1.0, 4.0)
+    told = besides(campaign, MOTION, 3, Expected(450.0, 0.0, 1000.0), 4.0, look, Expected(10.0, 0.0, 100.0))
     facing = 3 * (STRAY_SCANS * 4.0 + detour)
     assert told.seconds == pytest.approx(facing + (1 + (450 + facing + 10) / 100) * (2.0 + detour) + 10.0)
-    assert told.low < told.seconds < told.high
+    assert told.low == pytest.approx(facing + (1 + facing // 100) * (1.0 + detour))
+    assert told.high == pytest.approx(facing + (1 + (1100 + facing) // 100 + 1) * (4.0 + detour) + 100.0)
     nothing = campaign.model_copy(update={"monitor": None, "stray_light": False})
-    assert besides(nothing, MOTION, 3, told, 4.0, 2.0, Expected(1.0, 1.0, 1.0)) == Expected(1.0, 1.0, 1.0)
+    assert besides(nothing, MOTION, 3, told, 4.0, look, Expected(1.0, 1.0, 1.0)) == Expected(1.0, 1.0, 1.0)
     # of 4 s, 2 s, 1 s, ... down to 8 ms
     assert unknown_darks(nothing).high == pytest.approx(DARKS * (sum(4.0 / 2**i for i in range(9)) + 0.008))
 
