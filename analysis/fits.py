@@ -92,7 +92,7 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset) -> ModelFit:
     bic = n * math.log(simpler.cost_value / fit.cost_value) - more * math.log(n) if fit.cost_value > 0 else math.inf
     gained = _mean_difference(dataset, simpler.fitted) - _mean_difference(dataset, fit.fitted)
     comparison = Comparison(simpler.model, bic, gained)
-    evidence = f"BIC falls by {bic:.3g}, mean dE00 by {gained:.2g}"
+    evidence = f"BIC {_fall(bic, 3)}, mean dE00 {_fall(gained, 2)}"
     verdict = fit.verdict
     if not bic > STRONG_EVIDENCE:
         against = f"The simpler model {simpler.model} explains the data as well ({evidence}; a BIC by 10 would do)."
@@ -101,6 +101,15 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset) -> ModelFit:
         note = f"The simpler model {simpler.model} costs more but has the smaller colour difference ({evidence})."
         verdict = replace(verdict, reasons=(*verdict.reasons, note))
     return replace(fit, comparison=comparison, verdict=verdict)
+
+
+def _fall(amount: float, digits: int) -> str:
+    """By how much something falls or rises, in words.
+
+    >>> _fall(12.345, 3), _fall(-0.062, 2)
+    ('falls by 12.3', 'rises by 0.062')
+    """
+    return f"{'falls' if amount >= 0 else 'rises'} by {abs(amount):.{digits}g}"
 
 
 def fitted_slope(fit: ModelFit, directions: Directions) -> FloatArray:

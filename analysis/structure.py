@@ -55,7 +55,7 @@ class Structure:
     def sentences(self) -> tuple[str, ...]:
         """What a reader should know: nothing where the residuals are noise."""
         found = [
-            f"{name} (mean product of standardised neighbours {agreement.found:.2g}, of which the stated errors "
+            f"{name} (mean product of standardised neighbours {agreement.found:.3g}, of which the stated errors "
             f"explain {agreement.expected:.2g})"
             for name, agreement in (("wavelength", self.over_wavelength), ("theta_out", self.over_theta_out))
             if agreement.structured
