@@ -13,8 +13,8 @@ def order_angles(theta_in: float, orders: FloatArray, period_um: FloatArray, wav
     `orders` (m, signed), `period_um` and `wavelengths` (nm) broadcast; `theta_in` is in degrees. Raises `InputError`
     for a period that is not positive.
 
-    >>> order_angles(30.0, np.array([0.0, 1.0, -1.0]), np.array(1.2), np.array(600.0)).round(3)
-    array([30.,  0., 90.])
+    >>> order_angles(10.0, np.array([0.0, 1.0, 2.0]), np.array(3.0), np.array(600.0)).round(2)
+    array([ 10.  ,  -1.51, -13.08])
     """
     if not np.all(np.asarray(period_um) > 0):
         raise InputError("The spacing of a grating is a positive length; give it in micrometres.")

@@ -38,9 +38,7 @@ class HeightField:
                 f"A topography has at least 2 x 2 heights, but this one has the shape {self.heights_um.shape}."
             )
         if not (np.isfinite(self.pitch_um) and self.pitch_um > 0):
-            raise UnfitTopography(
-                f"The pitch of a topography is a positive length, but {self.pitch_um:g} um was given."
-            )
+            raise UnfitTopography(f"The pitch of a topography is a positive length, not {self.pitch_um:g} um.")
         if np.isinf(self.heights_um).any():
             raise UnfitTopography("A topography has an infinite height; mark what was not measured as NaN.")
 

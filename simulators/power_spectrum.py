@@ -24,7 +24,7 @@ from simulators.heights import HeightField, UnfitTopography, complete
 SingleArray = NDArray[np.float32]
 
 _PRECISION = 1e-5
-"""Of d_b against 1; |d_b|^2 of the dark directions is known to its square."""
+"""Of d_b against 1; that leaves a BRDF of some 1e-12 1/sr in directions that should be dark."""
 
 _ACROSS = 3.0
 """Harmonics across the plane of incidence up to this many 1/s count; beyond is 2e-5 of a white spectrum."""
@@ -44,8 +44,8 @@ _EDGE = 3.0
 _FLAT_UM = 0.01
 """Range of heights in um below which a map is treated as if it had this range."""
 
-_AT_ONCE = 8
-"""Harmonics on each side of the middle one that are computed together."""
+_AT_ONCE = 17
+"""Harmonics across the plane that are computed together, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,9 @@ class PowerSpectrum:
         distance = kz[:, None] / self.kz_step - tap
         weight_up = np.sinc(distance) * np.i0(_KAISER * np.sqrt(1 - (distance / (_TAPS / 2)) ** 2)) / np.i0(_KAISER)
         near = across[(harmonic % across.shape[0])[:, :, None], (tap - self.kz_first)[:, None, :]]
-        return np.asarray(4 * pi * s_um**2 * np.einsum("th,thk,tk->t", weight_along, near, weight_up, optimize=True))
+        seen = np.einsum("th,thk,tk->t", weight_along, near, weight_up, optimize=True)
+        # the interpolation swings below zero by its error where the light vanishes
+        return np.asarray(4 * pi * s_um**2 * np.maximum(seen, 0))
 
 
 def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float, kz_max: float) -> PowerSpectrum:
@@ -114,8 +116,8 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
     harmonics = min((ny - 1) // 2, ceil(_ACROSS / smallest_window_um * across_um / (2 * pi)))
     fade_across, fade_along = (_fade(field, points, smallest_window_um) for points in (ny, nx))
     power = np.zeros((harmonics + 1, nx, count), dtype=np.float32)
-    for middle in range(-harmonics, harmonics + 1, 2 * _AT_ONCE + 1):
-        low, high = middle, min(middle + 2 * _AT_ONCE, harmonics)
+    for low in range(-harmonics, harmonics + 1, _AT_ONCE):
+        high = min(low + _AT_ONCE - 1, harmonics)
         columns = _transformed_columns(heights, fade_across, (low, high), (first, count), step)
         columns *= fade_along[:, None, None].astype(np.float32)
         for index, harmonic in enumerate(range(low, high + 1)):
