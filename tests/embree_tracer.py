@@ -51,6 +51,7 @@ def embree(field: HeightField, origins_um: FloatArray, directions: FloatArray, l
     origin = origins_um / field.pitch_um - np.append(extent, 0.0)
     origin[:, 2] += CLEARANCE
     direction = np.array(directions)
+    scene.run(origin[:1].astype(np.float32), direction[:1].astype(np.float32))  # builds the hierarchy
     escaped, lost, inside = np.zeros(limit + 1, dtype=int), 0, 0.0
     begin = time.process_time()
     for count in range(limit + 1):
@@ -58,9 +59,11 @@ def embree(field: HeightField, origins_um: FloatArray, directions: FloatArray, l
         found = scene.run(origin.astype(np.float32), direction.astype(np.float32))
         inside += time.process_time() - started
         out = found < 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            to_side = ((np.sign(direction[out, :2]) * extent - origin[out, :2]) / direction[out, :2]).min(axis=1)
-            below = (direction[out, 2] < 0) | (origin[out, 2] + to_side * direction[out, 2] < top)
+        flat = direction[out, :2] == 0  # never reaches that side
+        aside = np.where(flat, 1.0, direction[out, :2])
+        to_side = np.where(flat, np.inf, (np.sign(aside) * extent - origin[out, :2]) / aside).min(axis=1)
+        to_top = (top - origin[out, 2]) / direction[out, 2]
+        below = (direction[out, 2] <= 0) | (to_side < to_top)
         lost += int(below.sum())
         escaped[count] = int((~below).sum())
         origin, direction, found = origin[~out], direction[~out], found[~out]
