@@ -7,7 +7,7 @@ import numpy as np
 from analysis.colour import colour_differences, has_colour
 from analysis.distributions import Distribution
 from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import Conductor
+from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from analysis.noise import hue_is_known
@@ -34,15 +34,16 @@ def analyse(
     all. Raises `OutOfRange` for wavelengths that the conductor does
     not cover and `FitError` for data that cannot be fitted.
     """
-    local = local_fit_for(dataset, models, conductor, engine)
-    fits = fit_models(dataset, local, models, conductor, engine, distribution, weight)
+    metal = conductor or load_conductor()
+    local = local_fit_for(dataset, models, metal, engine)
+    fits = fit_models(dataset, local, models, metal, engine, distribution, weight)
     fitted = {"local": local.fitted} | {fit.model: fit.fitted for fit in fits}
     differences = {}
     if not has_colour(dataset.wavelengths):
         unknown = np.full(dataset.theta_in.size, np.nan)
-        return SampleAnalysis(dataset, local, fits, dict.fromkeys(fitted, ColourDifferences(unknown, unknown)))
+        return SampleAnalysis(dataset, local, fits, dict.fromkeys(fitted, ColourDifferences(unknown, unknown)), metal)
     dim = ~hue_is_known(dataset, local.lambda_n)
     for name, values in fitted.items():
         found = colour_differences(dataset.brdf, values, dataset.wavelengths, dataset.theta_in)
         differences[name] = replace(found, chromatic=np.where(dim, np.nan, found.chromatic))
-    return SampleAnalysis(dataset, local, fits, differences)
+    return SampleAnalysis(dataset, local, fits, differences, metal)

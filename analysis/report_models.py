@@ -64,7 +64,8 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         "<h2>What the models say</h2>"
         "<p>Cook-Torrance describes a rough surface as tiny mirrors that point in all directions around the normal. "
         f"One number, the roughness alpha, says how widely{_lobe(shifted)}. With shift, the same model is multiplied "
-        "by the straight line of the chapter above, whose slope is h cos(w θm).</p>"
+        "by the straight line of the chapter above, whose slope is h cos(w θm). The metal of all models but the "
+        f"dielectrics is <code>{escape(analysis.conductor.name)}</code> of refractiveindex.info.</p>"
         + _difference_table(analysis)
         + _verdict_table(analysis)
         + _parameter_table(analysis)
@@ -187,7 +188,7 @@ def _albedo_figure(analysis: SampleAnalysis) -> str:
         "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
         f"uncertainty (coverage factor {figures.COVERAGE}); none where the albedo stands at zero.",
     )
-    return f'<h3>Diffuse albedo</h3><div class="pair"><div>{curves}</div></div>'
+    return f'<h3>Diffuse albedo</h3><div class="alone">{curves}</div>'
 
 
 def _error_table(analysis: SampleAnalysis) -> str:

@@ -14,7 +14,7 @@ from analysis.analyse import analyse
 from analysis.errors import ExportError
 from analysis.export_mitsuba import BsdfReport, write_fit
 from analysis.fit_json import analysis_to_json, fit_to_json
-from analysis.fresnel import Conductor, load_conductor
+from analysis.fresnel import load_conductor
 from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
@@ -57,7 +57,7 @@ def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
     fits["analysis"] = analysis_to_json(analysis, conductor)
     make_folder(folder)
     exports = [write_text("json", folder / f"{model}.json", text) for model, text in fits.items()]
-    bsdf, export = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis, conductor)
+    bsdf, export = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
     exports.append(export)
     files = tuple((e.path.name, _CONTENT[e.file_format]) for e in exports)
     exports.append(write_analysis_report(folder / REPORT, analysis, replace(facts, files=files, bsdf=bsdf)))
@@ -80,11 +80,11 @@ def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts)
     return _written("report", path, lambda part: write_report(part, analysis, facts))
 
 
-def write_bsdf(path: Path, analysis: SampleAnalysis, conductor: Conductor) -> tuple[BsdfReport, Export]:
-    """Write the rendered model of an analysis, which was made with `conductor`, as a Mitsuba `.bsdf`."""
+def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export]:
+    """Write the rendered model of an analysis as a Mitsuba `.bsdf`."""
     reports: list[BsdfReport] = []
-    fit = analysis.model(RENDERED_MODEL)
-    export = _written("mitsuba", path, lambda part: reports.append(write_fit(part, fit, analysis.dataset, conductor)))
+    fit, dataset, metal = analysis.model(RENDERED_MODEL), analysis.dataset, analysis.conductor
+    export = _written("mitsuba", path, lambda part: reports.append(write_fit(part, fit, dataset, metal)))
     return replace(reports[0], path=path), export
 
 

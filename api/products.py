@@ -144,7 +144,7 @@ def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Pat
     if file_format == "json":
         export = write_text("json", target, analysis_to_json(analysis, conductor))
     else:
-        _, export = write_bsdf(target, analysis, conductor)
+        _, export = write_bsdf(target, analysis)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export
 
