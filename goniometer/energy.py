@@ -46,7 +46,7 @@ _BLOCKED = np.linspace(-BLOCKED_HALF_WIDTH, BLOCKED_HALF_WIDTH, 41)[1:-1]
 """theta_in + theta_out of the blocked directions that are filled, degrees."""
 
 _NEIGHBOURS = 1000
-"""Points, of the smallest incident angles, from which hidden lobes are filled: time and memory grow with their cube."""
+"""Points, of the smallest incident angles, from which hidden lobes are filled: its time grows with their cube."""
 
 _DARK = 1e-7
 """Part of the largest value of a slice that stands for values that are smaller or negative."""
