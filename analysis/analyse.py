@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.colour import colour_differences
+from analysis.colour import colour_differences, has_colour
 from analysis.distributions import Distribution
 from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import Conductor
+from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from analysis.noise import hue_is_known
-from analysis.results import SampleAnalysis
+from analysis.results import ColourDifferences, SampleAnalysis
 from goniometer.dataset import Dataset
 
 AT_THE_END_OF_A_SCAN = ("global", "cook-torrance", "cook-torrance-shift")
@@ -30,15 +30,20 @@ def analyse(
 
     `conductor` is aluminium unless given; `engine`, `distribution` and `weight` as in `analysis.brdf_fit`. The global
     model describes normalised spectra: for its colour difference, every point takes its scale from the local fit.
-    Spectra whose hue is noise have no chromatic difference. Raises `OutOfRange` for wavelengths that the conductor does
+    Spectra whose hue is noise have no chromatic difference, and those that do not cover what the eye sees have none at
+    all. Raises `OutOfRange` for wavelengths that the conductor does
     not cover and `FitError` for data that cannot be fitted.
     """
-    local = local_fit_for(dataset, models, conductor, engine)
-    fits = fit_models(dataset, local, models, conductor, engine, distribution, weight)
+    metal = conductor or load_conductor()
+    local = local_fit_for(dataset, models, metal, engine)
+    fits = fit_models(dataset, local, models, metal, engine, distribution, weight)
     fitted = {"local": local.fitted} | {fit.model: fit.fitted for fit in fits}
-    dim = ~hue_is_known(dataset, local.lambda_n)
     differences = {}
+    if not has_colour(dataset.wavelengths):
+        unknown = np.full(dataset.theta_in.size, np.nan)
+        return SampleAnalysis(dataset, local, fits, dict.fromkeys(fitted, ColourDifferences(unknown, unknown)), metal)
+    dim = ~hue_is_known(dataset, local.lambda_n)
     for name, values in fitted.items():
         found = colour_differences(dataset.brdf, values, dataset.wavelengths, dataset.theta_in)
         differences[name] = replace(found, chromatic=np.where(dim, np.nan, found.chromatic))
-    return SampleAnalysis(dataset, local, fits, differences)
+    return SampleAnalysis(dataset, local, fits, differences, metal)

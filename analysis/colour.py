@@ -57,6 +57,11 @@ def xyz_weights(wavelengths: FloatArray) -> FloatArray:
     return weights
 
 
+def has_colour(wavelengths: FloatArray) -> bool:
+    """Whether spectra at these wavelengths, nm, cover what a colour needs."""
+    return bool(wavelengths[0] <= COLOUR_RANGE[0] and wavelengths[-1] >= COLOUR_RANGE[1])
+
+
 def brdf_to_xyz(brdf: FloatArray, theta_in: FloatArray, wavelengths: FloatArray) -> FloatArray:
     """[points, 3] XYZ of spectra [points, wavelengths] in 1/sr, seen under D65 at `theta_in` [points], degrees.
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
-from analysis.colour import COLOUR_RANGE, colour_differences
+from analysis.colour import colour_differences, has_colour
 from analysis.directions import Directions
 from analysis.distributions import Distribution
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.global_fit import SLOPE_MODELS, global_fit, slope_and_derivative
 from analysis.least_squares import Engine
-from analysis.local_fit import local_fit
+from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import Weight
 from analysis.microfacet import slope_of
 from analysis.results import Comparison, LocalFit, ModelFit, Verdict
@@ -75,7 +75,16 @@ def fit_models(
 def local_fit_for(
     dataset: Dataset, models: tuple[str, ...], conductor: Conductor | None = None, engine: Engine = "fast"
 ) -> LocalFit:
-    """The local fit for `models`: without Fresnel term (section 5.6) where all of them are of a dielectric."""
+    """The local fit for `models`: without Fresnel term (section 5.6) where all of them are of a dielectric.
+
+    Raises `FitError` for data of a few colours, of which no model here can be told, and what `local_fit` raises.
+    """
+    if dataset.wavelengths.size < LEAST_WAVELENGTHS:
+        raise FitError(
+            f"{dataset.sample} was measured at {dataset.wavelengths.size} "
+            f"{'wavelength' if dataset.wavelengths.size == 1 else 'wavelengths'}; "
+            f"a model of spectra needs at least {LEAST_WAVELENGTHS}."
+        )
     of_dielectric = bool(models) and all(model.startswith("dielectric") for model in models)
     return local_fit(dataset, conductor, engine=engine, fresnel=not of_dielectric)
 
@@ -131,8 +140,7 @@ def _notes(verdict: Verdict) -> tuple[str, ...]:
 
 def _mean_difference(dataset: Dataset, fitted: FloatArray) -> float:
     """Mean absolute CIEDE2000 to the measurement; NaN where the wavelengths have no colour."""
-    low, high = float(dataset.wavelengths[0]), float(dataset.wavelengths[-1])
-    if low > COLOUR_RANGE[0] or high < COLOUR_RANGE[1]:
+    if not has_colour(dataset.wavelengths):
         return math.nan
     differences = colour_differences(dataset.brdf, fitted, dataset.wavelengths, dataset.theta_in).absolute
     usable = differences[np.isfinite(differences)]

@@ -34,6 +34,12 @@ _NAMES: dict[Weight, str] = {
 }
 
 
+def weight_of(cost: str) -> Weight:
+    """The weight that the name of a cost tells."""
+    weighted: tuple[Weight, ...] = ("sine", "uncertainty")
+    return next((weight for weight in weighted if cost.startswith(_NAMES[weight])), "none")
+
+
 @dataclass(frozen=True)
 class LoewData:
     """The measurement without the points that are not usable."""

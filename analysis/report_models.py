@@ -10,7 +10,7 @@ from analysis.brdf_fit import BRDF_MODELS
 from analysis.distributions import lobe_width
 from analysis.notation import roughly, uncertainty, with_uncertainty
 from analysis.page import MODEL_NAMES, figure
-from analysis.results import SampleAnalysis
+from analysis.results import ModelFit, SampleAnalysis
 from goniometer.uncertainty import PARTS
 
 _UNIT = {"1": "", "1/um": "/µm"}
@@ -63,9 +63,9 @@ def models_chapter(analysis: SampleAnalysis) -> str:
     return (
         "<h2>What the models say</h2>"
         "<p>Cook-Torrance describes a rough surface as tiny mirrors that point in all directions around the normal. "
-        "One number, the roughness alpha, says how widely: here the lobe is "
-        f"{lobe_width(shifted.value('alpha')):.2g}° wide (full width at half maximum). With shift, the same model is "
-        "multiplied by the straight line of the chapter above, whose slope is h cos(w θm).</p>"
+        f"One number, the roughness alpha, says how widely{_lobe(shifted)}. With shift, the same model is multiplied "
+        "by the straight line of the chapter above, whose slope is h cos(w θm). The metal of all models but the "
+        f"dielectrics is <code>{escape(analysis.conductor.name)}</code> of refractiveindex.info.</p>"
         + _difference_table(analysis)
         + _verdict_table(analysis)
         + _parameter_table(analysis)
@@ -82,6 +82,14 @@ def models_chapter(analysis: SampleAnalysis) -> str:
             f"{analysis.local.lambda_n:g} nm; the Cook-Torrance fits are compared as they are.",
         )
     )
+
+
+def _lobe(fit: ModelFit) -> str:
+    """How wide the lobe is, unless the data do not tell."""
+    if "alpha" in fit.verdict.undetermined or fit.distribution is None:
+        return ""
+    width = lobe_width(fit.value("alpha"), fit.distribution)
+    return f": here the lobe is {width:.2g}° wide (full width at half maximum)"
 
 
 def _difference_table(analysis: SampleAnalysis) -> str:
@@ -180,7 +188,7 @@ def _albedo_figure(analysis: SampleAnalysis) -> str:
         "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
         f"uncertainty (coverage factor {figures.COVERAGE}); none where the albedo stands at zero.",
     )
-    return f'<h3>Diffuse albedo</h3><div class="pair"><div>{curves}</div></div>'
+    return f'<h3>Diffuse albedo</h3><div class="alone">{curves}</div>'
 
 
 def _error_table(analysis: SampleAnalysis) -> str:

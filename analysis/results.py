@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analysis.distributions import Distribution
+from analysis.fresnel import Conductor
 from analysis.least_squares import Engine
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
@@ -170,6 +171,8 @@ class SampleAnalysis:
     """In the order in which they were asked for."""
     differences: dict[str, ColourDifferences]
     """By model name, and "local"."""
+    conductor: Conductor
+    """The metal that models of metals are of."""
 
     def model(self, name: str) -> ModelFit:
         """The fit of the model called `name`; raises `KeyError`."""

@@ -83,10 +83,8 @@ def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts)
 def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export]:
     """Write the rendered model of an analysis as a Mitsuba `.bsdf`."""
     reports: list[BsdfReport] = []
-    fit = analysis.model(RENDERED_MODEL)
-    export = _written(
-        "mitsuba", path, lambda part: reports.append(write_fit(part, fit, analysis.dataset, load_conductor()))
-    )
+    fit, dataset, metal = analysis.model(RENDERED_MODEL), analysis.dataset, analysis.conductor
+    export = _written("mitsuba", path, lambda part: reports.append(write_fit(part, fit, dataset, metal)))
     return replace(reports[0], path=path), export
 
 

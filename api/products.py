@@ -1,17 +1,17 @@
 """What can be made of a dataset in the database at any time: fits, files for others, a report."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
 from analysis.distributions import Distribution
-from analysis.fit_json import analysis_to_json, fit_to_json
+from analysis.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
 from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
 from analysis.least_squares import Engine
-from analysis.loew import Weight
+from analysis.loew import Weight, weight_of
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import IMPORTED
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
@@ -67,6 +67,23 @@ def conductor_name(name: str) -> tuple[str, str, str]:
     raise InputError(f'"{name}" is no name of a conductor; it should read shelf/book/page, e.g. main/Al/Cheng.')
 
 
+def last_way(store: Store, dataset_id: int) -> HowToFit:
+    """How a dataset was last fitted: of each choice, the newest fit that depends on it; as usual where none does."""
+    how = HowToFit()
+    for stored in store.fits(dataset_id):
+        document = json.loads(stored.text)
+        if document["schema_version"] != SCHEMA_VERSION:
+            continue
+        if "conductor" in document:
+            how = replace(how, conductor=document["conductor"]["name"])
+        for part in document.get("models", [document]):
+            how = replace(how, engine=part["engine"])
+            if "distribution" in part:
+                weight = weight_of(part["metrics"]["cost"]["name"])
+                how = replace(how, distribution=part["distribution"], weight=weight)
+    return how
+
+
 def fit_lines(found: dict[str, Any]) -> list[str]:
     """The result of `fit_dataset` as lines for a person; uncertainties have coverage factor k = 1."""
     lines = [f"Dataset {found['dataset']}, {found['sample']}; {STATED}"]
@@ -78,14 +95,14 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
             continue
         values = [f"{p['name']} {_shown(p, part['verdict'])}" for p in part["parameters"]]
         difference = part["metrics"]["dE00"]
-        means = " / ".join(f"{_number(difference[kind]['mean']):.2f}" for kind in ("absolute", "chromatic"))
+        means = " / ".join(_known(difference[kind]["mean"]) for kind in ("absolute", "chromatic"))
         r2 = f"r2 {_number(part['metrics']['r2']):.4f}"
         lines.append(f"{name}: {', '.join(values)}; mean dE00 absolute / chromatic {means}; {r2}")
         if "comparison" in part:
             other = part["comparison"]
             lines.append(
                 f"  against {other['simpler_model']}: BIC falls by {_number(other['BIC_falls_by']):.4g}, "
-                f"mean dE00 by {_number(other['mean_dE00_falls_by']):.2f}"
+                f"mean dE00 by {_known(other['mean_dE00_falls_by'])}"
             )
         word = "note" if part["verdict"]["trusted"] else "do not trust it"
         lines += [f"  {word}: {reason}" for reason in part["verdict"]["reasons"]]
@@ -106,12 +123,24 @@ def _number(stored: float | str | None) -> float:
     return float("nan") if stored is None else float(stored)
 
 
+def _known(difference: float | None) -> str:
+    """A mean colour difference, of which there is none where no spectrum covers all that the eye sees."""
+    return "not known" if difference is None else f"{difference:.2f}"
+
+
 def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Path | None) -> Export:
-    """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder."""
+    """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder.
+
+    Both are of the metal, distribution, weight and engine with which it was last fitted; for Mitsuba the distribution
+    is GGX.
+    """
     dataset = store.dataset(dataset_id)
     target = path or _usual_path(dataset, "json" if file_format == "json" else "bsdf")
-    conductor = load_conductor()
-    analysis = analyse(dataset, conductor)
+    how = last_way(store, dataset_id)
+    if file_format == "mitsuba":
+        how = replace(how, distribution="ggx")
+    conductor = load_conductor(*conductor_name(how.conductor))
+    analysis = analyse(dataset, conductor, AT_THE_END_OF_A_SCAN, how.engine, how.distribution, how.weight)
     if file_format == "json":
         export = write_text("json", target, analysis_to_json(analysis, conductor))
     else:
@@ -131,7 +160,8 @@ def _usual_path(dataset: Dataset, ending: str) -> Path:
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     """Write the HTML report of a dataset to `path` or the present folder.
 
-    It shows the models of a scan's end and every other one that the dataset was ever fitted with.
+    It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
+    metal, distribution, weight and engine of the last fit.
     """
     dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
@@ -139,6 +169,9 @@ def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     target = path or _usual_path(dataset, "html")
     others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
     models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
-    export = write_analysis_report(target, analyse(dataset, load_conductor(), models), facts)
+    how = last_way(store, dataset_id)
+    conductor = load_conductor(*conductor_name(how.conductor))
+    analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
+    export = write_analysis_report(target, analysis, facts)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export

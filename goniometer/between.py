@@ -58,10 +58,11 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
     at_in, at_out = dataset.theta_in[usable], dataset.theta_out[usable]
     cosine = np.cos(np.radians(at_in))[:, None]
     values, noise = dataset.brdf[usable] * cosine, dataset.u_counts[usable] * cosine
-    whole = np.isfinite(values).all(axis=0)
-    if not whole.any():
-        raise CalibrationError(f'Sample "{dataset.sample}" has no wavelength at which all usable points have a value')
-    shape = learn(at_in, at_out, values[:, whole], noise[:, whole], dataset.u_angle)
+    # where spectra have gaps, the sample is learnt from the points that have the wavelength which most have
+    best = int(np.argmax(np.isfinite(values).sum(axis=0)))
+    having = np.isfinite(values[:, best])
+    whole = np.ix_(having, np.isfinite(values[having]).all(axis=0))
+    shape = learn(at_in[having], at_out[having], values[whole], noise[whole], dataset.u_angle)
     brdf = np.empty((theta_in.size, dataset.wavelengths.size))
     u, shared = np.empty_like(brdf), np.empty_like(brdf)
     patterns, which = np.unique(np.isfinite(values), axis=1, return_inverse=True)

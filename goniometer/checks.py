@@ -77,7 +77,12 @@ def checks(dataset: Dataset, *, spot: Dataset | None, drift: float | None, drift
 
 def checks_of_imported(dataset: Dataset) -> tuple[Check, ...]:
     """What can be asked of a dataset that was measured elsewhere: the questions that its values alone answer."""
-    return _reciprocity(dataset), _energy(dataset), _values(dataset), _noise_floor(dataset)
+    return (
+        _reciprocity(dataset),
+        _energy(dataset, "Check that the values are what was stated of them, and not per cent or counts."),
+        _values(dataset, may_lack=True),
+        _noise_floor(dataset),
+    )
 
 
 def _reciprocity(dataset: Dataset) -> Check:
@@ -107,7 +112,14 @@ def _reciprocity(dataset: Dataset) -> Check:
     )
 
 
-def _energy(dataset: Dataset) -> Check:
+_OF_OWN_BENCH = (
+    "Check that the reference panel and its certificate belong together, and the integration times of the brightest "
+    "points."
+)
+"""What to do where more light comes out than falls in."""
+
+
+def _energy(dataset: Dataset, advice: str = _OF_OWN_BENCH) -> Check:
     name = "energy"
     found = energy(dataset)
     if not found.theta_in.size:
@@ -131,14 +143,17 @@ def _energy(dataset: Dataset) -> Check:
         name,
         False,
         f"{said}: more than all. So it is for {int(too_much.sum())} of {too_much.size} combinations of incident angle "
-        f"and band of wavelengths, {where}. Check that the reference panel and its certificate belong together, and "
-        f"the integration times of the brightest points.",
+        f"and band of wavelengths, {where}. {advice}",
     )
 
 
-def _values(dataset: Dataset) -> Check:
+def _values(dataset: Dataset, *, may_lack: bool = False) -> Check:
+    """With `may_lack` values that are no numbers are no fault: a file holds what it holds, and its import counts them.
+
+    Nobody can look at the raw counts of another laboratory.
+    """
     explained = dataset.flagged(Flag.SATURATED | Flag.BEYOND_REFERENCE)
-    missing = ~np.isfinite(dataset.brdf).all(axis=1) & ~explained
+    missing = ~np.isfinite(dataset.brdf).all(axis=1) & ~explained & (not may_lack)
     negative = _negative(dataset.brdf, dataset.u)
     by_noise = int(np.sum(dataset.flagged(Flag.NEGATIVE) & ~negative))
     faults = []
@@ -155,7 +170,9 @@ def _values(dataset: Dataset) -> Check:
         )
     if faults:
         return Check("values", False, " ".join(faults))
-    told = "All values are numbers, and none lies below zero by more than its uncertainty explains."
+    lacking = int(np.sum(~np.isfinite(dataset.brdf))) if may_lack else 0
+    all_ = f"All values but {lacking} that the file lacks are numbers" if lacking else "All values are numbers"
+    told = f"{all_}, and none lies below zero by more than its uncertainty explains."
     if by_noise:
         told += f" {_count(by_noise, 'point')} would be negative by the noise of the counts alone."
     return Check("values", True, told)

@@ -45,6 +45,9 @@ _RINGS, _SPOKES = 300, 48
 _BLOCKED = np.linspace(-BLOCKED_HALF_WIDTH, BLOCKED_HALF_WIDTH, 41)[1:-1]
 """theta_in + theta_out of the blocked directions that are filled, degrees."""
 
+_NEIGHBOURS = 1000
+"""Points, of the smallest incident angles, from which hidden lobes are filled: its time grows with their cube."""
+
 _DARK = 1e-7
 """Part of the largest value of a slice that stands for values that are smaller or negative."""
 
@@ -122,7 +125,19 @@ def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled
     known = np.isfinite(mean.values).all(axis=1)
     if not incident.size or np.count_nonzero(known) < FEWEST:
         return None
-    averaged = replace(dataset, wavelengths=bands, brdf=mean.values, sources=mean.sources)
+    near = np.flatnonzero(known)
+    near = near[np.argsort(dataset.theta_in[near], kind="stable")][:_NEIGHBOURS]
+    averaged = replace(
+        dataset,
+        theta_in=dataset.theta_in[near],
+        theta_out=dataset.theta_out[near],
+        wavelengths=bands,
+        brdf=mean.values[near],
+        sources=tuple(
+            replace(s, values=s.values[near], groups=None if s.groups is None else s.groups[near]) for s in mean.sources
+        ),
+        flags=dataset.flags[near],
+    )
     theta_in, s = (each.ravel() for each in np.meshgrid(incident, _BLOCKED, indexing="ij"))
     return fill(averaged, theta_in, s - theta_in)
 

@@ -4,6 +4,7 @@ Nothing is invented and nothing vanishes in silence: what is turned, left out or
 what cannot be meant is refused.
 """
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -122,6 +123,12 @@ def tidied(path: str, table: MeasuredTable, lowest: float, highest: float) -> tu
     empty = np.asarray(~np.isfinite(table.brdf).any(axis=1))
     if empty.all():
         raise DataFileError(f"{path}: has no value at any point; a BRDF needs numbers.")
+    unmeasured = ~np.isfinite(table.brdf).any(axis=0)
+    if unmeasured.any():
+        which = ", ".join(f"{wavelength:g} nm" for wavelength in table.wavelengths[unmeasured][:3])
+        more = " and others" if unmeasured.sum() > 3 else ""
+        notes.append(f"At {which}{more} no point has a value; left out.")
+        table = table.take_wavelengths(np.flatnonzero(~unmeasured))
     if empty.any():
         notes.append(f"{_count(empty.sum())} without any value {_was(empty.sum())} left out.")
         table = table.take(~empty)
@@ -142,7 +149,7 @@ def tidied(path: str, table: MeasuredTable, lowest: float, highest: float) -> tu
         notes.append(
             f"{_count(repeated)} stood in the file twice with the same values and {_was(repeated)} taken once."
         )
-    return table, [*notes, *_which_side(table)]
+    return table, [*notes, *_unit_of_angles(table), *_which_side(table)]
 
 
 def _check_wavelengths(path: str, wavelengths: FloatArray) -> None:
@@ -189,6 +196,14 @@ def _without_copies(table: MeasuredTable) -> tuple[MeasuredTable, int]:
     for i in np.flatnonzero(same) + 1:
         copies[i] = np.array_equal(table.brdf[i], table.brdf[i - 1], equal_nan=True)
     return table.take(~copies), int(copies.sum())
+
+
+def _unit_of_angles(table: MeasuredTable) -> list[str]:
+    """A doubt where all angles together are no more than a right angle in radians."""
+    largest = float(np.max(np.abs([table.theta_in, table.theta_out])))
+    if not 0 < largest <= math.pi / 2:
+        return []
+    return [f"No angle is larger than {largest:.2g} deg; if the file gives them in radians, import it again as such."]
 
 
 def _which_side(table: MeasuredTable) -> list[str]:

@@ -30,6 +30,9 @@ SAME_INCIDENCE = 0.1
 _BEYOND = 0.05
 """Degrees that the reverse direction may lie beyond the outermost measured one: the stages' error."""
 
+_SAME = 1e-3
+"""Degrees within which two values of theta_out are one direction, measured twice."""
+
 _LEAST_SIGNAL = 5.0
 """Signal over standard uncertainty below which a value says nothing about a ratio."""
 
@@ -159,7 +162,8 @@ def _through_neighbours(x: FloatArray, y: FloatArray, at: float) -> tuple[NDArra
     at an end, where there are only three nodes, what parabola and straight line differ by. None beyond the nodes, or
     where there are fewer than three.
     """
-    order = np.argsort(x)
+    order = np.argsort(x, kind="stable")
+    order = order[np.diff(x[order], prepend=-np.inf) > _SAME]  # a direction that was measured twice
     x = x[order]
     if x.size < 3 or not x[0] - _BEYOND <= at <= x[-1] + _BEYOND:
         return None

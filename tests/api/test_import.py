@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from analysis.errors import FitError
 from api.cli import app
-from api.products import export_dataset, fit_dataset, report_dataset
+from api.products import HowToFit, export_dataset, fit_dataset, last_way, report_dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.materials import SAMPLES, true_brdf
@@ -106,3 +107,36 @@ def test_an_import_leaves_out_wavelengths_and_prints_its_lineage_as_json(file: P
     assert (found["dataset"], found["sample"], found["points"] > 50) == (1, "Theirs", True)
     assert found["lineage"]["notes"] == ["11 of 40 wavelengths were left out, as asked for."]
     assert {check["name"] for check in found["checks"]} == {"reciprocity", "energy", "values", "noise floor"}
+
+
+def test_a_report_and_an_export_are_of_the_metal_and_distribution_that_were_fitted(file: Path, tmp_path: Path) -> None:
+    database = tmp_path / "goniometer.db"
+    invoke("import", file, *STATED, "--database", database)
+    store = Store.open(database)
+    gold = HowToFit("fast", "beckmann", "sine", "main/Au/Johnson")
+    fit_dataset(store, 1, "cook-torrance", gold)
+    assert last_way(store, 1) == gold
+    fit_dataset(store, 1, "dielectric", HowToFit(distribution="beckmann"))  # has no metal to choose
+    assert last_way(store, 1) == HowToFit("fast", "beckmann", "none", "main/Au/Johnson")
+    written = json.loads(export_dataset(store, 1, "json", tmp_path / "fits.json").path.read_text())
+    assert written["conductor"]["name"] == "main/Au/Johnson"
+    assert {part["distribution"] for part in written["models"] if "distribution" in part} == {"beckmann"}
+
+
+def test_spectra_that_do_not_cover_all_colours_are_fitted_without_a_colour_difference(
+    file: Path, tmp_path: Path
+) -> None:
+    database = tmp_path / "goniometer.db"
+    invoke("import", file, *STATED, "--lowest", 450, "--highest", 700, "--database", database)
+    told = invoke("fit", "their sample", "--model", "cook-torrance-shift", "--database", database).stdout
+    assert "absolute / chromatic not known / not known" in told
+    found = json.loads(Store.open(database).fits(1)[-1].text)["parameters"][0]
+    assert found["value"] == pytest.approx(SAMPLES["sample-2"].alpha, rel=0.02)
+
+
+def test_data_of_three_colours_say_that_they_are_no_spectra(file: Path, tmp_path: Path) -> None:
+    database = tmp_path / "goniometer.db"
+    known = ("--lowest", 450, "--highest", 470, "--relative-noise", 0.01)
+    invoke("import", file, *STATED, *known, "--database", database)
+    with pytest.raises(FitError, match="was measured at 3 wavelengths; a model of spectra needs at least 5"):
+        invoke("fit", "their sample", "--database", database)

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from analysis.directions import _from_vectors
 from analysis.distributions import lobe
 from drivers.arrays import FloatArray
-from goniometer.checks import checks, noise_flags
+from goniometer.between import interpolate
+from goniometer.checks import checks, checks_of_imported, noise_flags
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.energy import energy
 from goniometer.reciprocity import reciprocity
@@ -260,3 +262,39 @@ def test_points_off_the_sample_and_a_dataset_of_noise_are_reported() -> None:
 def test_rare_means_rare() -> None:
     # what the reciprocity and homogeneity checks count: a normal error beyond 3.5 standard uncertainties
     assert chi2.sf(3.5**2, 1) == pytest.approx(1 / 2149, rel=1e-3)
+
+
+def test_directions_that_were_measured_twice_are_compared_with_their_reverse_in_numbers() -> None:
+    """Two nodes at one angle would make the difference NaN, which is above no limit, so any fault would pass."""
+    dataset = drawn_dataset("sample-2", zeros=(0.5, 0.0))
+    once = reciprocity(dataset)
+    repeated = _with_points(dataset, np.repeat(np.arange(dataset.theta_in.size), 2))
+    assert reciprocity(repeated).difference == pytest.approx(once.difference)
+    assert {c.name: c.passed for c in checks_of_imported(repeated)}["reciprocity"] is False
+
+
+def test_spectra_with_gaps_are_interpolated_as_without_them() -> None:
+    dataset = drawn_dataset("sample-2")
+    gaps = np.random.default_rng(2).random(dataset.brdf.shape) < 0.05
+    assert gaps.any(axis=0).all()  # no wavelength is complete
+    at = np.array([15.0, 35.0]), np.array([12.0, 22.0])
+    whole, with_gaps = (
+        interpolate(d, *at) for d in (dataset, replace(dataset, brdf=np.where(gaps, np.nan, dataset.brdf)))
+    )
+    apart = np.abs(with_gaps.brdf - whole.brdf)
+    assert (apart < 5 * np.hypot(whole.u, with_gaps.u)).all()
+    assert np.median(apart / whole.brdf) < 0.01
+
+
+def _with_points(dataset: Dataset, points: NDArray[np.intp]) -> Dataset:
+    return replace(
+        dataset,
+        theta_in=dataset.theta_in[points],
+        theta_out=dataset.theta_out[points],
+        brdf=dataset.brdf[points],
+        sources=tuple(
+            replace(s, values=s.values[points], groups=None if s.groups is None else s.groups[points])
+            for s in dataset.sources
+        ),
+        flags=dataset.flags[points],
+    )

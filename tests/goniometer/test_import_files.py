@@ -369,3 +369,25 @@ def test_saturated_pixels_have_no_value_and_missing_darks_are_asked_for():
 def test_raw_text_that_is_spoilt_is_refused_with_the_line(text, told):
     with pytest.raises(DataFileError, match=told):
         read_raw_text("a.txt", text)
+
+
+def test_degrees_that_may_be_radians_are_doubted_and_wavelengths_without_values_left_out():
+    text = "theta_in,theta_out,400,500,600\n0,1.2,1,,2\n0.5,-1.2,1,,3\n"
+    table, notes = tidied("a.csv", read_delimited("a.csv", text, PLAIN), *ALL)
+    assert table.wavelengths.tolist() == [400, 600]
+    assert notes[0] == "At 500 nm no point has a value; left out."
+    assert "if the file gives them in radians" in notes[-1]
+    _, notes = tidied("a.csv", read_delimited("a.csv", text, Meaning("brdf", "rad", "nm")), *ALL)
+    assert not any("radians" in note for note in notes)
+
+
+def test_what_a_file_lacks_is_no_fault_and_per_cent_are_suspected():
+    theta_out = np.arange(-80.0, 81.0, 10.0)
+    brdf = np.full((theta_out.size, 20), 90 / np.pi)
+    brdf[3, 4] = np.nan
+    table = MeasuredTable(np.full(theta_out.size, 60.0), theta_out, np.linspace(400, 780, 20), brdf, None, ())
+    found = {check.name: check for check in imported_dataset("a", table, Stated(0.01, 0.005, 1, 0), {}).checks}
+    assert found["values"].passed
+    assert "but 1 that the file lacks" in found["values"].message
+    assert not found["energy"].passed
+    assert "not per cent" in found["energy"].message
