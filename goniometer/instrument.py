@@ -297,6 +297,7 @@ class Instrument:
             await stage.begin_move(end)
             track += await followed(stage, self.clock, end, seconds, look=integration_time / 2)
             spectra = await spectrometer.collect_sequence(begun)
+            await self.clock.sleep(self._settling[1])  # the next point may lie where the sweep ends
         finally:
             faults = await faults_of(self._cruise())
         if faults:
