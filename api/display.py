@@ -117,4 +117,6 @@ def _state(progress: Progress) -> str:
     if progress.waiting is not None:
         left = "" if progress.waiting.left is None else f", {duration(progress.waiting.left)} left on the bench"
         return f"waiting: {progress.waiting.what}{left}"
+    if progress.remaining is None:  # no point tells yet how bench time passes here
+        return f"{span(progress.bench_remaining)} left on the bench"
     return f"{duration(progress.remaining)} left; on the bench {span(progress.bench_remaining)}"

@@ -220,6 +220,7 @@ class Instrument:
         """What `goto` does, once it is known that the arm may stand where it is wanted."""
         left = targets = self._sample_target, self._detector_target
         self._forget_targets()
+        await self._cruise()  # where a sweep before could not
         here = await both(ready(self._sample_stage), ready(self._detector_stage))
         self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
         self._check_left(targets, here)
@@ -281,7 +282,6 @@ class Instrument:
             check_standing(standing, self.limits, self.forbidden)
         safe_path(way[0], way[1], self.forbidden)
         stage, spectrometer = self._detector_stage, self._spectrometer
-        await self._cruise()  # where a sweep before could not
         sample = (await self._go(way[0])).sample_angle
         await self._set_shutter(True)
         self._forget_targets()
