@@ -43,6 +43,7 @@ def polar_view(planned: Sequence[Geometry], name: str) -> str:
         for angle in range(-90, 91, 30):
             axes.text(*_at(1.12, angle), f"{angle}°".replace("-", "−"), ha="center", va="center")
         shells = f"arcs: incident angles {angles[0]:g}° (inside) to {angles[-1]:g}° (outside)"
+        shells = shells if len(angles) > 1 else f"incident angle {angles[0]:g}°"
         marks = "▾ light, ‒ mirror direction, hatched: blocked"
         axes.text(-1.2, 1.17, "theta_out around the normal", ha="left", va="top")
         axes.text(0, -0.04, f"{shells}\n{marks}", ha="center", va="top", linespacing=1.4)

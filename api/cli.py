@@ -26,7 +26,7 @@ from api.cli_quality import register as add_quality
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
-from api.display import duration, progress_display, span
+from api.display import called, duration, progress_display, span
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import Format, HowToFit, export_dataset, fit_dataset, fit_lines, report_dataset
@@ -197,7 +197,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     for scan, entry in zip(scans, found, strict=True):
         state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
-        what = f"{entry['name']}, another spot" if entry["kind"] == "spot" else entry["name"]
+        what = called(scan.name, scan.kind)
         count = f"{entry['points_done']} points"
         if scan.remaining is not None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
@@ -216,7 +216,8 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
         if as_json:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})
         else:
-            told = f"Asked the scan of {scan.name} to {verb}; it obeys after the point in hand, an abort at once."
+            name = called(scan.name, scan.kind)
+            told = f"Asked the scan of {name} to {verb}; it obeys after the point in hand, an abort at once."
             Console().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."

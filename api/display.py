@@ -9,7 +9,7 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
 from goniometer.progress import Progress
-from goniometer.records import Expected
+from goniometer.records import Expected, Kind
 
 LOG_INTERVAL = 5.0
 """Seconds between two lines of progress in a log."""
@@ -32,6 +32,15 @@ def duration(seconds: float | None) -> str:
     if whole >= 60:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole} s"
+
+
+def called(name: str, kind: Kind) -> str:
+    """How an operator tells a scan from the others.
+
+    >>> called("Sample 1 #2", "sample"), called("Sample 1 #2", "spot")
+    ('Sample 1 #2', 'Sample 1 #2, another spot')
+    """
+    return f"{name}, another spot" if kind == "spot" else name
 
 
 def span(time: Expected) -> str:
@@ -68,7 +77,7 @@ def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
 
         def show(progress: Progress) -> None:
             if progress.scan_id not in tasks:
-                tasks[progress.scan_id] = bars.add_task(progress.sample, state="")
+                tasks[progress.scan_id] = bars.add_task(called(progress.sample, progress.kind), state="")
             bars.update(
                 tasks[progress.scan_id],
                 completed=progress.done,
@@ -89,7 +98,7 @@ def _lines(console: Console) -> Show:
             return
         last[progress.scan_id] = time.monotonic(), doing
         console.print(
-            f"{progress.sample}: {progress.done} of about {progress.expected} points, "
+            f"{called(progress.sample, progress.kind)}: {progress.done} of about {progress.expected} points, "
             f"{100 * progress.fraction:.0f} %, {_state(progress)}",
             markup=False,
             highlight=False,
@@ -108,4 +117,6 @@ def _state(progress: Progress) -> str:
     if progress.waiting is not None:
         left = "" if progress.waiting.left is None else f", {duration(progress.waiting.left)} left on the bench"
         return f"waiting: {progress.waiting.what}{left}"
+    if progress.remaining is None:  # no point tells yet how bench time passes here
+        return f"{span(progress.bench_remaining)} left on the bench"
     return f"{duration(progress.remaining)} left; on the bench {span(progress.bench_remaining)}"

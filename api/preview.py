@@ -11,7 +11,7 @@ from goniometer.conditions import Conditions
 from goniometer.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
 from goniometer.exposure import once
 from goniometer.geometry import Geometry
-from goniometer.plan import PlanSpec, blocked_ranges, next_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.plan import PlanSpec, blocked_ranges, first_points, plan_spec, reference_points, uniform_grid_size
 from goniometer.plan_spec import ORDINARY
 from goniometer.prescan import cost
 from goniometer.records import Expected
@@ -44,7 +44,10 @@ class Preview:
     campaign: str
     legs: tuple[Leg, ...]
     blocked: dict[float, tuple[float, float]]
-    """Incident angle -> range of theta_out in which the detector would block the source, degrees."""
+    """Incident angle -> range of theta_out in which the detector would block the source, degrees; of those that have
+    something of it within the range of the campaign."""
+    mode: str
+    """Of the resolution, "dynamic" or "uniform"."""
     minimum_step: float
     """Refinement brings no two directions closer than this, degrees."""
     tolerance: float
@@ -71,21 +74,24 @@ class Preview:
             )
         whole = sum((leg.time for leg in self.legs), start=Expected(0.0, 0.0, 0.0))
         told.append(f"In all about {span(whole)}. {self.doubt}")
-        colours = "" if self.colour_tolerance is None else f" and colours to a mean dE00 of {self.colour_tolerance:g}"
-        told.append(
-            f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
-            f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} points "
-            f"a sample."
-        )
+        if self.mode == "dynamic":
+            wanted = self.colour_tolerance
+            colours = "" if wanted is None else f" and colours to a mean dE00 of {wanted:g}"
+            told.append(
+                f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
+                f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} "
+                f"points a sample."
+            )
         told += self.besides
-        told.append("Left out because the detector would stand in the beam:")
+        if self.blocked:
+            told.append("Left out because the detector would stand in the beam:")
         told += [f"  theta_in {t:g}°: theta_out {low:g}° to {high:g}°" for t, (low, high) in self.blocked.items()]
         return told
 
 
 def drawing(campaign: Campaign, motion: Motion = ORDINARY) -> str:
     """The certain directions of a sample as one SVG: around the sample, and as the way of the arm."""
-    first = next_points(plan_spec(campaign, motion), [])
+    first = first_points(plan_spec(campaign, motion))
     return side_by_side([polar_view(first, "polar"), arm_view(first, "arm")])
 
 
@@ -98,7 +104,7 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DE
     panel = reference_points(spec, campaign.reference.step)
     policy = campaign.integration
     bright = policy.model_copy(update={"scans": campaign.reference.scans, "signal_to_noise": None})
-    first = next_points(spec, [])
+    first = first_points(spec)
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
     legs = [
@@ -114,13 +120,14 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DE
     return Preview(
         campaign.name,
         tuple(legs),
-        blocked_ranges(spec),
+        {t: (a, b) for t, (a, b) in blocked_ranges(spec).items() if a < spec.highest and b > spec.lowest},
+        spec.mode,
         spec.minimum_step,
         spec.tolerance,
         spec.colour_tolerance,
         uniform_grid_size(spec),
         _doubt(campaign, spec),
-        _besides(campaign),
+        (*_limited(spec), *_besides(campaign)),
     )
 
 
@@ -171,6 +178,19 @@ def _doubt(campaign: Campaign, spec: PlanSpec) -> str:
         f"That depends on how bright each sample is ({exposing.low:g} s to {exposing.high:g} s of integration a "
         f"point){many}; while it is measured, the time left is told from what its points take."
     )
+
+
+def _limited(spec: PlanSpec) -> list[str]:
+    """What the budgets cut off, as sentences."""
+    told = []
+    grid = uniform_grid_size(spec, spec.step)
+    if spec.mode == "uniform" and spec.most_points is not None and spec.most_points < grid:
+        told.append(
+            f"A sample gets the first {spec.most_points} of the {grid} points of the grid; it may have no more."
+        )
+    if spec.most_seconds is not None:
+        told.append(f"A sample ends after {duration(spec.most_seconds)}, with the points that it has by then.")
+    return told
 
 
 def _besides(campaign: Campaign) -> tuple[str, ...]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from drivers.arrays import CountArray
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Campaign, Integration, Prescan
-from goniometer.duration import DARKS, STRAY_SCANS, besides, unknown_exposure
+from goniometer.campaign import Campaign, Prescan
+from goniometer.duration import DARKS, STRAY_SCANS, besides, unknown_darks, unknown_exposure
 from goniometer.errors import GeometryError
 from goniometer.exposure import DarkSignal, detector_of, ladder, once, step_down, take
 from goniometer.geometry import Geometry
@@ -57,8 +57,14 @@ class Darks:
         valid = (dark for dark in sets if abs(dark.temperature - temperature) <= DARK_TEMPERATURE)
         return next(valid, min(sets, key=lambda dark: abs(dark.temperature - temperature)))
 
-    def to_come(self, policy: Integration) -> Expected:
-        """Time for darks that a scan may still need, seconds: any of the times that it has not used yet, or none."""
+    def to_come(self, campaign: Campaign) -> Expected:
+        """Time for darks that a scan may still need, seconds: any of the times that it has not used yet, or none.
+
+        Before it has used any, what a preview expects.
+        """
+        if not self._sets:
+            return unknown_darks(campaign)
+        policy = campaign.integration
         return Expected(0.0, 0.0, DARKS * sum(time for time in ladder(policy) if not self._sets.get(time)))
 
     async def of(self, integration_time: float, temperature: float) -> DarkSignal:
@@ -122,7 +128,7 @@ class Auxiliary:
         time = self._monitor_time
         look = unknown_exposure(once(policy)) if time is None else Expected(time, time, time)
         motion = self._instrument.motion
-        due = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(policy))
+        due = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(campaign))
         if self._prescan is None:
             return due
         unseen = [p for p in path if all(abs(p.theta_in - t) > ARRIVAL for t in self._swept)]

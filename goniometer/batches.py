@@ -17,6 +17,7 @@ from goniometer.plan import (
     PlanSpec,
     Reached,
     expected_total,
+    first_points,
     next_points,
     reached,
     reference_points,
@@ -88,11 +89,13 @@ class Batches:
 
     def foreseen(self, points: list[Point]) -> Foreseen:
         """How many points the scan will have: as its own plan foresees, or as its like before that is known."""
-        if self.scan.kind != "sample" or self.spec.mode == "uniform":
+        if self.scan.kind != "sample":
             count = len(points) or len(self.next(points))
             return Foreseen(count, count, count)
-        coarse = len(next_points(self.spec, []))
+        coarse = len(first_points(self.spec))
         finished = [p for p in points if p.status in _FINISHED]
+        if self.spec.mode == "uniform":
+            return Foreseen(coarse, coarse if self.spec.most_seconds is None else len(points), coarse)
         if len(finished) >= coarse:
             foreseen = expected_total(self.spec, self._known(self.scan, finished)[0])
             # the plan does not foresee the batches that confirm what it believes, nor what they bring to light

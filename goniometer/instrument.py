@@ -220,6 +220,7 @@ class Instrument:
         """What `goto` does, once it is known that the arm may stand where it is wanted."""
         left = targets = self._sample_target, self._detector_target
         self._forget_targets()
+        await self._cruise()  # where a sweep before could not
         here = await both(ready(self._sample_stage), ready(self._detector_stage))
         self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
         self._check_left(targets, here)
@@ -281,7 +282,6 @@ class Instrument:
             check_standing(standing, self.limits, self.forbidden)
         safe_path(way[0], way[1], self.forbidden)
         stage, spectrometer = self._detector_stage, self._spectrometer
-        await self._cruise()  # where a sweep before could not
         sample = (await self._go(way[0])).sample_angle
         await self._set_shutter(True)
         self._forget_targets()
@@ -297,6 +297,7 @@ class Instrument:
             await stage.begin_move(end)
             track += await followed(stage, self.clock, end, seconds, look=integration_time / 2)
             spectra = await spectrometer.collect_sequence(begun)
+            await self.clock.sleep(self._settling[1])  # the next point may lie where the sweep ends
         finally:
             faults = await faults_of(self._cruise())
         if faults:

@@ -44,6 +44,7 @@ __all__ = [
     "Reached",
     "blocked_ranges",
     "expected_total",
+    "first_points",
     "interpolation",
     "monitor_direction",
     "next_points",
@@ -132,6 +133,11 @@ def next_points(
 def reached(spec: PlanSpec, measured: Sequence[Measured], swept: Sequence[Swept] = ()) -> Reached:
     """How accurate the sampling is by now, and why it ended if it did: `next_points` is empty exactly then."""
     return _next(spec, list(measured), swept, ())[1]
+
+
+def first_points(spec: PlanSpec) -> list[Geometry]:
+    """What is measured of a sample of which nothing is known, if there is time: the even grid, or the coarse pass."""
+    return next_points(replace(spec, most_seconds=None), [])
 
 
 def expected_total(spec: PlanSpec, measured: Sequence[Measured]) -> int:
@@ -269,12 +275,19 @@ def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
 
 
 def _room(spec: PlanSpec, measured: list[Measured], pending: Sequence[Geometry]) -> tuple[int, Stop]:
-    """How many more points the budgets allow, and which budget is the tighter one."""
+    """How many more points the budgets allow for now, and which budget is the tighter one.
+
+    How many fit into a time is told by what the points before took. Others may take longer, so of many only half are
+    allowed at once, and a few before any has told.
+    """
     count, spent = len(measured), sum(p.seconds for p in measured)
     by_points = math.inf if spec.most_points is None else spec.most_points - count - len(pending)
     by_time = math.inf
     if spec.most_seconds is not None and spent > 0:
-        by_time = math.floor((spec.most_seconds - spent) * count / spent) - len(pending)
+        fitting = math.floor((spec.most_seconds - spent) * count / spent) - len(pending)
+        by_time = min(fitting, max(SMALLEST_BATCH, fitting // 2))
+    elif spec.most_seconds is not None:
+        by_time = SMALLEST_BATCH
     room = min(by_points, by_time, 10**6)
     return int(room), "points" if by_points <= by_time else "seconds"
 

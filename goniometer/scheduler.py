@@ -173,7 +173,6 @@ class _Run:
             store, scan, self.campaign, plan_spec(self.campaign, instrument.motion, instrument.u_angle)
         )
         self.ahead: tuple[list[Geometry], Foreseen] | None = None
-        self.foreseen: Foreseen | None = None
         self.policy = self.campaign.integration
         if scan.kind == "reference":  # its points serve all others and are bright: none is cut short
             changes = {"scans": self.campaign.reference.scans, "signal_to_noise": None}
@@ -195,6 +194,7 @@ class _Run:
         self.darks = Darks(self.store, self.scan.id, self.instrument, raw.darks)
         self.auxiliary = Auxiliary(self.store, self.instrument, self.campaign, raw, self.darks)
         self._recall(raw)
+        self.foreseen = self.estimate.total = self.batches.foreseen(self.store.points(self.scan.id))
         await self._pass_time()
         await self._make_ready()
         self.began = time.monotonic()  # what was waited for tells nothing about the time that points take
@@ -241,7 +241,8 @@ class _Run:
         what = None if waiting is None else waiting.what
         if before is None or what != before.what:
             self.store.explain(self.scan.id, "" if what is None else f"It waits: {what}.")
-        self.tell("running")
+        if waiting is not None:  # else the next point tells, once it is known how long it all takes
+            self.tell("running")
 
     def _check_whole(self) -> None:
         """Raise `ReferenceIncomplete` where a point failed: the next run tries it again, before any sample."""
@@ -300,8 +301,6 @@ class _Run:
                 self.store.add_points(self.scan.id, batch)
             pending = [p for p in self.store.points(self.scan.id) if p.status == "pending"]
         self.ahead = None
-        if self.foreseen is None:  # a run that goes on in the middle of a batch
-            self.foreseen = self.batches.foreseen(points)
         self.estimate.begin([p.geometry for p in pending], self.foreseen, self.done, self.auxiliary)
         return pending
 

@@ -156,6 +156,20 @@ def test_the_preview_counts_repeats_waits_and_conditions() -> None:
     assert "by less than 0.2 % in 1 min 00 s" in told
 
 
+def test_the_preview_of_an_even_grid_says_what_budgets_cut_off_and_speaks_of_no_refinement() -> None:
+    narrow = {"name": "Narrow", "samples": [{"name": "A", "material": "mirror"}], "incident": [30, 50]}
+    resolution = {"mode": "uniform", "step": 10, "points": 7, "time": "5 min"}
+    wanted = Campaign.model_validate(narrow | {"outgoing": {"start": -40, "stop": 40}, "resolution": resolution})
+    told = "\n".join(preview(wanted).lines())
+    assert "A sample gets the first 7 of the 17 points of the grid" in told
+    assert "A sample ends after 5 min 00 s" in told
+    assert "refined" not in told
+    forward = Campaign.model_validate(narrow | {"outgoing": {"start": 10, "stop": 40}})
+    told = "\n".join(preview(forward).lines())
+    assert "refined" in told
+    assert "Left out" not in told
+
+
 def test_an_operator_sees_what_a_run_waits_for() -> None:
     console = Console(file=io.StringIO(), width=200)
     with progress_display(console) as (show, _):

@@ -84,6 +84,16 @@ def test_a_sweep_with_a_wrong_spectrum_is_an_error_and_the_next_one_is_right(lab
     on_bench(laboratory, work)
 
 
+def test_a_point_where_a_sweep_ends_is_not_exposed_while_the_arm_swings(laboratory):
+    async def work(instrument):
+        passages, _ = await instrument.sweep(*SHORT)
+        rests = passages[-1].spectrum.began + passages[-1].spectrum.integration_time
+        await instrument.goto(Geometry(30.0, 10.0))
+        assert (await instrument.expose(0.1)).began >= rests + 5.0
+
+    on_bench(laboratory, work, settling=(0.0, 5.0))
+
+
 def test_an_arm_that_is_held_up_is_noticed(laboratory):
     async def work(instrument):
         laboratory.detector_stage.slow(4.0)

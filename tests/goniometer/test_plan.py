@@ -1,5 +1,6 @@
 """The plan is judged against the paper's own reflectance model on a grid of half a degree."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from goniometer.plan import (
     PlanSpec,
     blocked_ranges,
     expected_total,
+    first_points,
     interpolation,
     next_points,
     plan_spec,
@@ -195,6 +197,19 @@ def test_a_budget_of_points_or_of_time_ends_the_sampling_and_says_so():
     assert reached(short, measured).stopped == "seconds"
 
 
+@pytest.mark.parametrize("mode", ["uniform", "dynamic"])
+def test_a_first_pass_that_takes_longer_than_allowed_is_cut_short(mode):
+    short = PlanSpec(SPEC.theta_in, tolerance=1e-4, colour_tolerance=None, mode=mode, most_seconds=30.0)
+    assert len(first_points(short)) > 25
+    random, measured = np.random.default_rng(0), []
+    while batch := next_points(short, measured):
+        for point in measure(batch, 0.2, 0.001, random):
+            measured.append(replace(point, seconds=1.0 + 0.03 * len(measured)))
+    assert 25 < sum(p.seconds for p in measured) < 32
+    assert reached(short, measured).stopped == "seconds"
+    assert len({p.geometry for p in measured}) == len(measured)
+
+
 def test_colour_alone_can_be_what_is_asked_for():
     loose = PlanSpec(SPEC.theta_in, tolerance=1.0, colour_tolerance=1.0)
     strict = PlanSpec(SPEC.theta_in, tolerance=1.0, colour_tolerance=0.1)
@@ -256,5 +271,5 @@ def test_the_campaign_decides_what_is_sampled():
     )
     spec = plan_spec(campaign)
     assert spec == PlanSpec((10.0, 20.0), -40.0, 60.0, 0.1, 20.0, 2.0, most_points=50, most_seconds=120.0)
-    assert {g.theta_in for g in next_points(spec, [])} == {10.0, 20.0}
-    assert max(g.theta_out for g in next_points(spec, [])) == 60
+    assert {g.theta_in for g in first_points(spec)} == {10.0, 20.0}
+    assert max(g.theta_out for g in first_points(spec)) == 60
