@@ -105,8 +105,9 @@ def parameter_gain(
 ) -> tuple[FloatArray, BoolArray]:
     """[free, points, wavelengths] derivative of the first `free` parameters by the data, and which are determined.
 
-    To first order, from the normal equations at the minimum, to which slopes that are `pulled` at belong too. Parameters that the data do not tell apart, or that have
-    no effect, are not determined; what is given for them means nothing.
+    To first order, from the normal equations at the minimum, to which the slopes that were fitted to belong too.
+    Parameters that the data do not tell apart, or that have no effect, are not determined; what is given for them means
+    nothing.
     """
     shape = near.jacobian[:free].shape
     flat = near.jacobian[:free].reshape(free, -1)

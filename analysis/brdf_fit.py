@@ -116,9 +116,11 @@ def _search_two_components(form: Form, data: LoewData, seen: View, cosine: Float
     """Descend from the `cosine` and the local slopes."""
     end, pull = find_two_components(form, data, seen, cosine, engine)
     parameters = from_search(end.parameters)
-    pulled = None if pull is None else pull.linearised(form, parameters)
+    pulled = None if pull is None else pull.linearised(form, data, parameters)
     covariances = _covariances(seen, data, parameters, parameters.size, pulled)
-    return _Found(parameters, parameters.size, end, covariances, None if pull is None else pull.scatter(form, parameters))
+    return _Found(
+        parameters, parameters.size, end, covariances, None if pull is None else pull.scatter(form, parameters)
+    )
 
 
 def _search(form: Form, data: LoewData, seen: View, start: FloatArray, engine: Engine) -> _Found:
@@ -214,7 +216,7 @@ def _result(
             for i, quantity in enumerate(form.quantities)
         ),
         correlation=correlation(covariance),
-        cost=data.cost,
+        cost=data.cost if found.scatter is None else f"{data.cost}, minimised with the chi-square of the local slopes",
         cost_value=found.minimum.cost,
         r2=r2,
         verdict=verdict,

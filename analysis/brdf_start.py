@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
-from analysis.directions import in_plane
+from analysis.directions import in_plane, round_aperture
 from analysis.fresnel import fresnel_dielectric
 from analysis.global_fit import search_slopes
 from analysis.least_squares import minimise
@@ -53,7 +53,10 @@ def find_starts(form: Form, data: LoewData) -> Starts:
         return _two_component_starts(form, data)
     plain = replace(form, shift="none")
     seen = _view(plain, coarse, None)
-    found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, seen, coarse)]
+    # a few nodes of the aperture are enough to tell one valley from another
+    rule = round_aperture(data.dataset.aperture, rings=2, spokes=6)
+    glimpse = view(plain, coarse.theta_in, coarse.theta_out, coarse.dataset.wavelengths, rule)
+    found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, glimpse, coarse)]
     if form.shift == "cosine":
         lowest = min(cost for _, cost in found)
         found = [end for start, cost in found if cost <= _WORSE * lowest for end in _follow_w(form, coarse, start)]

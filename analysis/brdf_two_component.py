@@ -3,47 +3,46 @@
 Nearly all of Löw's cost on a real surface is brightness that the lobe does not have right, a number for every
 direction that has nothing to do with colour. Left alone with it, six parameters of a slope buy brightness: where the
 wavelengths do not lie evenly about lambda_n a slope brightens the whole spectrum. The fit then costs less and has the
-wrong colours. What tells the slopes is the shape of every spectrum, whatever its brightness; that is what the local fit
-reads (`analysis.local_fit`). So both are minimised together, Löw's cost and the chi-square of the local slopes, each in
-units of what it leaves: two sets of as many directions whose variances nobody knows (variance components; the product
-of both sums is then the likelihood). Where the lobe is right, little is left of the cost, and it decides by itself.
+wrong colours. What tells the slopes is the shape of every spectrum, whatever its brightness. So two sums are minimised
+together, Löw's cost and the chi-square of the slopes that the spectra have by themselves, each in units of what it
+leaves: two sets of as many directions whose variances nobody knows (variance components; the product of both sums is
+then the likelihood). Where the lobe is right, little is left of the cost, and it decides by itself.
 
-In its own cost, Löw's, the result is never worse than the cosine that it contains: the pull of the slopes is relaxed
-until that is so.
+By that product the result is never worse than the cosine that it contains. Löw's cost alone may be a few per cent above
+that of a cosine which was fitted to nothing else.
 """
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.brdf_errors import Pulled
 from analysis.brdf_problem import problem, to_search
 from analysis.directions import Directions, in_plane
 from analysis.errors import FitError
-from analysis.fresnel import Conductor
+from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.global_fit import search_slopes
 from analysis.least_squares import Engine, Minimum, SumOfSquares, minimise
-from analysis.local_fit import local_fit, local_gain
 from analysis.loew import LoewData
-from analysis.microfacet import Form, View, slope_derivative
+from analysis.microfacet import Form, View, slope_derivative, slope_of
+from analysis.models import LAMBDA_N
+from analysis.noise import above_noise
+from analysis.propagation import variance_of_each_point
 from drivers.arrays import BoolArray, FloatArray
+from goniometer.dataset import Dataset
 
 _LEAST_SLOPES = 12
 """Reliable slopes that say more of six parameters than the cost does; with fewer the cost is asked alone."""
 
 _ROUNDS = 12
-_LOOSENING, _LOOSENED, _HALVINGS = 32.0, 5, 3
-"""By how much a pull is loosened at a time, how often, and how often the interval is then halved."""
-
 _SETTLED = 0.1
 """Relative change of the strength below which another round changes nothing."""
 
 
 @dataclass(frozen=True)
 class LocalSlopes:
-    """The reliable slopes of the local fit."""
+    """Slopes that spectra have by themselves."""
 
     values: FloatArray
     """[slopes] 1/um."""
@@ -51,10 +50,14 @@ class LocalSlopes:
     """[slopes] one over the standard uncertainty, by all errors."""
     directions: Directions
     """[slopes] at the centre of the aperture."""
-    row: NDArray[np.intp]
-    """[slopes] at which of the fitted points."""
+    points: BoolArray
+    """[points] of the dataset that have a slope here."""
     gain: FloatArray
-    """[slopes, wavelengths] derivative of a slope by ln(1 + cos(theta_in) f) of its point."""
+    """[slopes, wavelengths] derivative of a slope by the BRDF of its point."""
+
+    def chi_square(self, modelled: FloatArray) -> float:
+        """Of `modelled` slopes [slopes], 1/um."""
+        return float(np.sum((self.root_weight * (self.values - modelled)) ** 2))
 
 
 class Pull(NamedTuple):
@@ -72,10 +75,12 @@ class Pull(NamedTuple):
         jacobian[form.first_of_shift :] = root * by_shift
         return root * (value - self.slopes.values), jacobian
 
-    def linearised(self, form: Form, parameters: FloatArray) -> Pulled:
+    def linearised(self, form: Form, data: LoewData, parameters: FloatArray) -> Pulled:
         """What the standard errors of the parameters need to know of the slopes."""
         root = np.sqrt(self.strength) * self.slopes.root_weight
-        return Pulled(self.rows(form, parameters)[1], self.slopes.row, root[:, None] * self.slopes.gain)
+        row = np.flatnonzero(self.slopes.points[data.points])
+        gain = root[:, None] * self.slopes.gain / data.log_derivative[row]
+        return Pulled(self.rows(form, parameters)[1], row, gain)
 
     def scatter(self, form: Form, parameters: FloatArray) -> float:
         """By how much more than their uncertainty the slopes scatter (Birge ratio), at least one."""
@@ -84,7 +89,7 @@ class Pull(NamedTuple):
 
     def chi_square(self, form: Form, parameters: FloatArray) -> float:
         """Of the slopes, whatever their strength."""
-        return float(np.sum(self._replace(strength=1.0).rows(form, parameters)[0] ** 2))
+        return self.slopes.chi_square(slope_of(form, self.slopes.directions, parameters))
 
 
 class PulledEnd(NamedTuple):
@@ -104,21 +109,32 @@ class TwoComponents(NamedTuple):
     """What pulled in the end; None where the cost alone decided."""
 
 
-def local_slopes(data: LoewData, conductor: Conductor) -> LocalSlopes | None:
-    """The slopes of the fitted points, None where too few are reliable."""
-    local = local_fit(data.dataset, conductor)
-    used = local.reliable & data.points
+def local_slopes(dataset: Dataset, conductor: Conductor) -> LocalSlopes | None:
+    """The slope of every spectrum beside the Fresnel reflectance that the model gives its direction.
+
+    A spectrum is a F (1 + m x) there, linear in a and a m, and weighted by the noise of its counts. The exponent of Eq. 2
+    has no place in Eq. 7, where F is that of the half vector. None where fewer than twelve spectra of usable
+    points stand above the noise. Raises `OutOfRange` for wavelengths beyond the conductor's table.
+    """
+    used = above_noise(dataset) & dataset.usable
     if np.count_nonzero(used) < _LEAST_SLOPES:
         return None
-    row = np.flatnonzero(used[data.points])
-    of_slope = local_gain(data.dataset, local, conductor)[0, used]
-    return LocalSlopes(
-        values=local.slope[used],
-        root_weight=1 / local.u_slope[used],
-        directions=in_plane(data.theta_in[row], data.theta_out[row]),
-        row=row,
-        gain=of_slope / data.log_derivative[row],
-    )
+    directions = in_plane(dataset.theta_in[used], dataset.theta_out[used])
+    u = dataset.u_counts[used]
+    valid = np.isfinite(dataset.brdf[used]) & (u > 0)
+    weight = np.where(valid, 1 / np.where(valid, u, 1.0) ** 2, 0.0)
+    first = fresnel_conductor(directions.cos_d[:, None], *conductor.index(dataset.wavelengths))
+    second = first * (dataset.wavelengths - LAMBDA_N) * 1e-3
+    columns = np.stack([first, second], axis=1)
+    # [spectra, 2, wavelengths] derivative of a and a m by the data
+    estimator = np.linalg.solve((columns * weight[:, None]) @ columns.transpose(0, 2, 1), columns * weight[:, None])
+    level, tilt = (estimator @ np.where(valid, dataset.brdf[used], 0.0)[:, :, None])[:, :, 0].T
+    slope = tilt / level
+    gain = (estimator[:, 1] - slope[:, None] * estimator[:, 0]) / level[:, None]
+    everywhere = np.zeros(dataset.brdf.shape)
+    everywhere[used] = gain
+    variance = variance_of_each_point(everywhere, dataset.sources)[used]
+    return LocalSlopes(slope, 1 / np.sqrt(variance), directions, used, gain)
 
 
 def find_two_components(form: Form, data: LoewData, seen: View, cosine: FloatArray, engine: Engine) -> TwoComponents:
@@ -132,16 +148,18 @@ def find_two_components(form: Form, data: LoewData, seen: View, cosine: FloatArr
     )
     # without sharpness and kappa it is the cosine
     contained = np.concatenate([of_cosine.parameters, np.zeros(len(form.quantities) - cosine.size)])
-    slopes = local_slopes(data, _metal(form))
+    slopes = local_slopes(data.dataset, _metal(form))
     if slopes is not None:
         shift, chi2 = search_slopes(
             "global-two-component", slopes.values, slopes.root_weight**2, slopes.directions, "fast"
         )
         start = np.concatenate([of_cosine.parameters[: form.first_of_shift], shift])
         found = _weighed(posed, form, Pull(slopes, _loew(posed, start) / chi2), start, engine)
-        if found.minimum.cost > of_cosine.cost:
-            found = _relaxed(posed, form, found, of_cosine.cost, engine)
-        if found.minimum.cost <= of_cosine.cost:
+        ours, cosines = (
+            end.cost * found.pull.chi_square(form, at)
+            for end, at in ((found.minimum, found.minimum.parameters), (of_cosine, contained))
+        )
+        if ours <= cosines:
             return TwoComponents(found.minimum, found.pull)
     return TwoComponents(minimise(posed, contained, _all(contained), engine), None)
 
@@ -156,22 +174,6 @@ def _weighed(posed: SumOfSquares, form: Form, pull: Pull, start: FloatArray, eng
         pull = pull._replace(strength=strength)
         found = _pulled(posed, form, pull, found.minimum.parameters, engine)
     return found
-
-
-def _relaxed(posed: SumOfSquares, form: Form, tight: PulledEnd, limit: float, engine: Engine) -> PulledEnd:
-    """The strongest pull, within half of it, with which the cost stays below `limit`; the weakest tried where none."""
-    loose = tight
-    for _ in range(_LOOSENED):
-        weaker = tight.pull._replace(strength=tight.pull.strength / _LOOSENING)
-        loose = _pulled(posed, form, weaker, tight.minimum.parameters, engine)
-        if loose.minimum.cost <= limit:
-            break
-        tight = loose
-    for _ in range(_HALVINGS):
-        between = tight.pull._replace(strength=float(np.sqrt(tight.pull.strength * loose.pull.strength)))
-        middle = _pulled(posed, form, between, tight.minimum.parameters, engine)
-        tight, loose = (tight, middle) if middle.minimum.cost <= limit else (middle, loose)
-    return loose
 
 
 def _pulled(posed: SumOfSquares, form: Form, pull: Pull, start: FloatArray, engine: Engine) -> PulledEnd:

@@ -405,7 +405,7 @@ def _r2(values: FloatArray, valid: BoolArray, fitted: FloatArray) -> FloatArray:
     """[points] coefficient of determination over the valid wavelengths, unweighted; NaN for a constant spectrum."""
     values = values if valid.all() else np.where(valid, values, 0.0)
     around = values - (values.sum(axis=1) / np.count_nonzero(valid, axis=1))[:, None]
+    around *= valid
     left = values - fitted
-    for part in (around, left):
-        part *= valid
+    left *= valid
     return 1 - _ratio(np.vecdot(left, left), np.vecdot(around, around))
