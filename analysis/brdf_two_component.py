@@ -112,8 +112,8 @@ class TwoComponents(NamedTuple):
 def local_slopes(dataset: Dataset, conductor: Conductor) -> LocalSlopes | None:
     """The slope of every spectrum beside the Fresnel reflectance that the model gives its direction.
 
-    A spectrum is a F (1 + m x) there, linear in a and a m, and weighted by the noise of its counts. The exponent of Eq. 2
-    has no place in Eq. 7, where F is that of the half vector. None where fewer than twelve spectra of usable
+    A spectrum is a F (1 + m x) there, linear in a and a m, and weighted by the noise of its counts. The exponent of
+    Eq. 2 has no place in Eq. 7, where F is that of the half vector. None where fewer than twelve spectra of usable
     points stand above the noise. Raises `OutOfRange` for wavelengths beyond the conductor's table.
     """
     used = above_noise(dataset) & dataset.usable

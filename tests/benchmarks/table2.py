@@ -102,6 +102,20 @@ def print_trend(metals: dict[str, Row], patches: dict[str, Row]) -> None:
         f"{name[-1]}: {gain[name]:.2f} (paper {PAPER[name][0] - PAPER[name][1]:.2f})" for name in metals
     )
     print(f"Gain in dE00 from the roughest sample to the mirror, which the paper says falls: {margins}")
+    metal = [gain[name] for name in metals]
+    if any(after > before for before, after in zip(metal, metal[1:], strict=False)):
+        print(
+            "Ours does not fall steadily: the bench gives its samples one form of lobe and of shift, so the gain goes "
+            "with their slopes and not with roughness; on the mirror, without shift, it is gone."
+        )
+    more = {name: found.absolute[1] - found.absolute[2] for name, found in rows.items()}
+    worse = [f"{name} ({more[name]:+.2f})" for name in rows if more[name] < -0.005]
+    print(f"Two components are worse than the cosine on {len(worse)} of {len(rows)} rows{':' if worse else '.'}")
+    if worse:
+        print(
+            f"{', '.join(worse)} dE00. A patch has no slope of its own spectrum to hold on to, its diffuse light having "
+            "a colour, so its fit rests on Löw's cost alone, which is lower and buys brightness with the slope."
+        )
 
 
 def print_local(analyses: dict[str, SampleAnalysis]) -> None:
