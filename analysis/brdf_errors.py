@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.brdf_problem import Linearised, log_model
 from analysis.directions import Aperture
@@ -19,6 +21,17 @@ _LEAST_EIGENVALUE = 1e-12
 
 _LEAST_SHARE = 1e-6
 """Share of a lost direction that makes a parameter undetermined."""
+
+
+class Pulled(NamedTuple):
+    """Slopes of points, each measured from its own spectrum, that the parameters were fitted to as well."""
+
+    jacobian: FloatArray
+    """[parameters, slopes] of their weighted residuals, by log alpha and the other parameters."""
+    row: NDArray[np.intp]
+    """[slopes] at which point."""
+    gain: FloatArray
+    """[slopes, wavelengths] derivative of a weighted slope by ln(1 + cos(theta_in) f) of its point."""
 
 
 def residual_errors(
@@ -87,33 +100,47 @@ def _angle_errors(
     )
 
 
-def parameter_gain(near: Linearised, data: LoewData, parameters: FloatArray, free: int) -> tuple[FloatArray, BoolArray]:
+def parameter_gain(
+    near: Linearised, data: LoewData, parameters: FloatArray, free: int, pulled: Pulled | None = None
+) -> tuple[FloatArray, BoolArray]:
     """[free, points, wavelengths] derivative of the first `free` parameters by the data, and which are determined.
 
-    To first order, from the normal equations at the minimum. Parameters that the data do not tell apart, or that have
-    no effect, are not determined; what is given for them means nothing.
+    To first order, from the normal equations at the minimum, to which the slopes that were fitted to belong too.
+    Parameters that the data do not tell apart, or that have no effect, are not determined; what is given for them means
+    nothing.
     """
+    shape = near.jacobian[:free].shape
     flat = near.jacobian[:free].reshape(free, -1)
+    of_cost = flat.shape[1]
+    if pulled is not None:
+        flat = np.concatenate([flat, pulled.jacobian[:free]], axis=1)
     size = np.linalg.norm(flat, axis=1)
     scaled = flat / np.where(size > 0, size, 1.0)[:, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.T)
     lost = values < _LEAST_EIGENVALUE
     determined = (size > 0) & (np.sum(vectors[:, lost] ** 2, axis=1) < _LEAST_SHARE)
     inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
-    gain = (inverse @ scaled / np.where(size > 0, size, 1.0)[:, None]).reshape(near.jacobian[:free].shape)
-    gain *= data.root_weight
+    of_rows = inverse @ scaled / np.where(size > 0, size, 1.0)[:, None]
+    gain = of_rows[:, :of_cost].reshape(shape) * data.root_weight
+    if pulled is not None:
+        gain[:, pulled.row] += of_rows[:, of_cost:, None] * pulled.gain
     gain[0] *= parameters[0]
     return gain, determined
 
 
 def parameter_covariances(
-    near: Linearised, data: LoewData, parameters: FloatArray, free: int, errors: tuple[ErrorSource, ...]
+    near: Linearised,
+    data: LoewData,
+    parameters: FloatArray,
+    free: int,
+    errors: tuple[ErrorSource, ...],
+    pulled: Pulled | None = None,
 ) -> dict[str, FloatArray]:
     """[free, free] covariance of the first `free` parameters by part of the budget.
 
     A parameter that is not determined has an infinite variance and is correlated with nothing.
     """
-    gain, determined = parameter_gain(near, data, parameters, free)
+    gain, determined = parameter_gain(near, data, parameters, free, pulled)
     by_part = covariance_by_part(gain, errors)
     for covariance in by_part.values():
         covariance[~determined, :] = 0.0

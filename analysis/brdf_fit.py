@@ -6,13 +6,14 @@ The cost is that of Löw et al. 2012 (`analysis.loew`). A model is read through 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.brdf_errors import albedo_uncertainty, parameter_covariances, residual_errors
+from analysis.brdf_errors import Pulled, albedo_uncertainty, parameter_covariances, residual_errors
 from analysis.brdf_problem import from_search, linearise, log_model, problem, to_search
 from analysis.brdf_start import SCANNED_ALPHAS, find_starts
+from analysis.brdf_two_component import find_two_components
 from analysis.directions import in_plane
 from analysis.distributions import Distribution, lobe_width
 from analysis.errors import FitError
@@ -63,6 +64,8 @@ class _Found:
     minimum: Minimum
     covariances: dict[str, FloatArray]
     """[free, free] by part of the budget."""
+    scatter: float | None = None
+    """Birge ratio of the local slopes where these determine the shift; None where the cost alone does."""
 
 
 def form_of(model: str, conductor: Conductor | None, distribution: Distribution) -> Form:
@@ -96,12 +99,28 @@ def brdf_fit(
         raise FitError(f'There is no microfacet model "{model}"; there are {", ".join(BRDF_MODELS)}.')
     form = form_of(model, None if model.startswith("dielectric") else conductor or load_conductor(), distribution)
     data = loew_data(dataset, weight)
-    starts = find_starts(form, data)
+    # a metal's two components are searched for from its cosine on
+    pulled = form.shift == "two-component" and form.conductor is not None
+    starts = find_starts(replace(form, shift="cosine") if pulled else form, data)
+    seen = replace(starts.view, form=form)
     start = starts.parameters[0]
     if lobe_width(float(start[0]), distribution) < MIRROR_LOBE:
         data = grazing_weighs_less(data)
-    found = _search(form, data, starts.view, start, engine)
-    return _result(model, form, data, starts.view, found, starts.parameters[1:], engine)
+    if pulled:
+        found = _search_two_components(form, data, seen, start, engine)
+        return _result(model, form, data, seen, found, (), engine)
+    return _result(model, form, data, seen, _search(form, data, seen, start, engine), starts.parameters[1:], engine)
+
+
+def _search_two_components(form: Form, data: LoewData, seen: View, cosine: FloatArray, engine: Engine) -> _Found:
+    """Descend from the `cosine` and the local slopes."""
+    end, pull = find_two_components(form, data, seen, cosine, engine)
+    parameters = from_search(end.parameters)
+    pulled = None if pull is None else pull.linearised(form, data, parameters)
+    covariances = _covariances(seen, data, parameters, parameters.size, pulled)
+    return _Found(
+        parameters, parameters.size, end, covariances, None if pull is None else pull.scatter(form, parameters)
+    )
 
 
 def _search(form: Form, data: LoewData, seen: View, start: FloatArray, engine: Engine) -> _Found:
@@ -118,11 +137,13 @@ def _search(form: Form, data: LoewData, seen: View, start: FloatArray, engine: E
     return _Found(parameters, start.size - 1, end, _covariances(seen, data, parameters, start.size - 1))
 
 
-def _covariances(seen: View, data: LoewData, parameters: FloatArray, free: int) -> dict[str, FloatArray]:
+def _covariances(
+    seen: View, data: LoewData, parameters: FloatArray, free: int, pulled: Pulled | None = None
+) -> dict[str, FloatArray]:
     near = linearise(seen, data, parameters)
     aperture = aperture_for(float(parameters[0]), data.dataset.aperture)
     return parameter_covariances(
-        near, data, parameters, free, residual_errors(data, seen, aperture, parameters, near.albedo)
+        near, data, parameters, free, residual_errors(data, seen, aperture, parameters, near.albedo), pulled
     )
 
 
@@ -152,12 +173,17 @@ def _result(
     r2 = float(1 - np.sum(residual[valid] ** 2) / np.sum(around**2))
     ratio = float(np.sqrt(np.mean((residual[valid] / combined(errors, valid.shape)[valid]) ** 2)))
     # residuals beyond the uncertainty are errors of the model; the parameters then stand for less than it says
-    inflation = ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0
+    inflation = np.full(count, ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0)
+    if found.scatter is not None:
+        inflation[form.first_of_shift :] = found.scatter
     covariance = np.diag(np.full(count, math.inf))
-    covariance[: found.free, : found.free] = inflation**2 * np.sum(list(found.covariances.values()), axis=0)
+    together = np.sum(list(found.covariances.values()), axis=0)
+    covariance[: found.free, : found.free] = np.outer(inflation, inflation)[: found.free, : found.free] * together
     sigma = np.sqrt(np.diag(covariance))
     of_residuals = structure(residual, valid, errors, data.theta_in, data.theta_out)
-    shares = [errors_by_part(found.covariances, i, inflation) if math.isfinite(sigma[i]) else {} for i in range(count)]
+    shares = [
+        errors_by_part(found.covariances, i, inflation[i]) if math.isfinite(sigma[i]) else {} for i in range(count)
+    ]
     verdict = judge(
         Evidence(
             dataset=dataset,
@@ -180,7 +206,7 @@ def _result(
     slope = slope_of(form, in_plane(dataset.theta_in, dataset.theta_out), parameters)
     albedo = None
     if near.albedo is not None:
-        u_albedo = inflation * albedo_uncertainty(near, data, parameters, found.free, errors)
+        u_albedo = inflation[0] * albedo_uncertainty(near, data, parameters, found.free, errors)
         albedo = Albedo(dataset.wavelengths, near.albedo, u_albedo)
     return ModelFit(
         model=model,
@@ -190,7 +216,7 @@ def _result(
             for i, quantity in enumerate(form.quantities)
         ),
         correlation=correlation(covariance),
-        cost=data.cost,
+        cost=data.cost if found.scatter is None else f"{data.cost}, minimised with the chi-square of the local slopes",
         cost_value=found.minimum.cost,
         r2=r2,
         verdict=verdict,

@@ -7,17 +7,16 @@ minimum of the scans is followed downhill at those wavelengths; the distinct end
 
 import math
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
-from analysis.directions import in_plane
+from analysis.directions import in_plane, round_aperture
 from analysis.fresnel import fresnel_dielectric
+from analysis.global_fit import search_slopes
 from analysis.least_squares import minimise
 from analysis.loew import LoewData
 from analysis.microfacet import LARGEST_W, Form, View, aperture_for, regressed_albedo, view
-from analysis.two_component import two_component_slope
 from drivers.arrays import BoolArray, FloatArray
 
 SCANNED_ALPHAS = np.geomspace(0.002, 1.0, 32)
@@ -34,11 +33,6 @@ _WORSE = 2.0
 
 _WITHIN_NOISE = 9.21
 """Chi-square with two degrees of freedom that is exceeded once in a hundred times."""
-
-_TWO_COMPONENT_WS = (0.7, 1.2, 1.8, 2.5, 3.2, 4.0, 5.0, 7.0)
-_KAPPAS = (0.0, 0.3, 0.6, 1.0, 1.5)
-_SHARPNESSES = (0.1, 0.7, 3.0, 15.0)
-_THRESHOLDS = (-1.5, -0.7, 0.0, 0.7)
 
 
 @dataclass(frozen=True)
@@ -59,7 +53,10 @@ def find_starts(form: Form, data: LoewData) -> Starts:
         return _two_component_starts(form, data)
     plain = replace(form, shift="none")
     seen = _view(plain, coarse, None)
-    found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, seen, coarse)]
+    # a few nodes of the aperture are enough to tell one valley from another
+    rule = round_aperture(data.dataset.aperture, rings=2, spokes=6)
+    glimpse = view(plain, coarse.theta_in, coarse.theta_out, coarse.dataset.wavelengths, rule)
+    found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, glimpse, coarse)]
     if form.shift == "cosine":
         lowest = min(cost for _, cost in found)
         found = [end for start, cost in found if cost <= _WORSE * lowest for end in _follow_w(form, coarse, start)]
@@ -67,40 +64,25 @@ def find_starts(form: Form, data: LoewData) -> Starts:
 
 
 def _two_component_starts(form: Form, data: LoewData) -> Starts:
-    """From the best cosine on, and from the best of a scan for each kappa: its slope is linear in h and t_y."""
+    """From the best cosine, and from the slopes that would lower the cost most, were they free at every point."""
     coarse = _some_wavelengths(data)
     cosine = replace(form, shift="cosine")
     best = find_starts(cosine, data).parameters[0]
-    seen = _view(form, coarse, best)
-    near = linearise(_view(cosine, coarse, best), coarse, np.concatenate([best[: form.first_of_shift], [0.0, 0.0]]))
+    lobe = best[: form.first_of_shift]
+    near = linearise(_view(cosine, coarse, best), coarse, np.concatenate([lobe, [0.0, 0.0]]))
     by_slope = near.full_jacobian[form.first_of_shift]  # by h where w = 0 and the cosine one
     size, pull = np.sum(by_slope**2, axis=1), np.sum(by_slope * near.residual, axis=1)
     centre = in_plane(coarse.theta_in, coarse.theta_out)
-    shifts = [np.concatenate([best[form.first_of_shift :], [0.0, 0.0, 0.1, 0.0]])]
-    for kappa in _KAPPAS:
-        found = []
-        for w, sharpness, threshold in product(_TWO_COMPONENT_WS, _SHARPNESSES, _THRESHOLDS):
-            shape = two_component_slope(centre, 1.0, w, 0.0, kappa, sharpness, threshold)
-            h, t_y, gained = _best_line(shape, size, pull)
-            found.append((gained, np.array([h, w, t_y, kappa, sharpness, threshold])))
-        shifts.append(max(found, key=lambda node: node[0])[1])
-    ends = [_descend(seen, coarse, np.concatenate([best[: form.first_of_shift], start])) for start in shifts]
+    wanted = -pull / np.where(size > 0, size, 1.0)
+    shift, _ = search_slopes("global-two-component", wanted, size, centre, "fast")
+    seen = _view(form, coarse, best)
+    # without kappa and sharpness it is the cosine
+    ends = [_descend(seen, coarse, start) for start in (np.concatenate([best, np.zeros(4)]), np.append(lobe, shift))]
     # a cosine within reach of chance is the simplest of all that are as good
     chance = 1 + _WITHIN_NOISE / np.count_nonzero(coarse.valid)
-    if ends[0][1] <= chance * min(cost for _, cost in ends):
+    if ends[0][1] <= chance * ends[1][1]:
         ends = ends[:1]
     return _starts(form, data, coarse, ends)
-
-
-def _best_line(shape: FloatArray, size: FloatArray, pull: FloatArray) -> tuple[float, float, float]:
-    """h and t_y of the slopes h shape + t_y that lower the cost most, and by how much.
-
-    `size` and `pull` [points] are the curvature and the slope of half the cost by the slope of each point.
-    """
-    normal = np.array([[size @ shape**2, size @ shape], [size @ shape, size.sum()]])
-    gradient = np.array([pull @ shape, pull.sum()])
-    h, t_y = -np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
-    return float(h), float(t_y), float(-(h * gradient[0] + t_y * gradient[1]))
 
 
 def _some_wavelengths(data: LoewData) -> LoewData:

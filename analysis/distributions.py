@@ -45,6 +45,10 @@ def lobe(directions: Directions, alpha: float, distribution: Distribution = "ggx
 
     G is the product of both directions' maskings (Eq. 23). Zero below the horizon.
     """
+    if distribution == "ggx":
+        above = (directions.cos_i > 0) & (directions.cos_o > 0)
+        reach = _reach(directions.cos_i, alpha)[0] * _reach(directions.cos_o, alpha)[0]
+        return np.asarray(above * (ndf(directions.cos_m, alpha) / reach))
     above, (cos_i, cos_o, cos_m) = _above(directions)
     masking = g1(cos_i, alpha, distribution) * g1(cos_o, alpha, distribution)
     value = ndf(cos_m, alpha, distribution) * masking / (4 * cos_i * cos_o)
@@ -55,6 +59,14 @@ def lobe_derivative(
     directions: Directions, alpha: float, distribution: Distribution = "ggx"
 ) -> tuple[FloatArray, FloatArray]:
     """`lobe` [...] and its derivative by `alpha` [...], both 1/sr."""
+    if distribution == "ggx":
+        above = (directions.cos_i > 0) & (directions.cos_o > 0)
+        (reach_i, by_alpha_i), (reach_o, by_alpha_o) = (
+            _reach(cosine, alpha) for cosine in (directions.cos_i, directions.cos_o)
+        )
+        value = above * (ndf(directions.cos_m, alpha) / (reach_i * reach_o))
+        relative = _ndf_log_derivative(directions.cos_m, alpha, distribution)
+        return value, value * (relative - by_alpha_i / reach_i - by_alpha_o / reach_o)
     _, (cos_i, cos_o, cos_m) = _above(directions)
     value = lobe(directions, alpha, distribution)
     relative = (
@@ -63,6 +75,13 @@ def lobe_derivative(
         + _g1_log_derivative(cos_o, alpha, distribution)
     )
     return value, value * relative
+
+
+def _reach(cosine: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+    """2 cos / G1 of GGX, which is above zero below the horizon too, and its derivative by alpha."""
+    sin2 = 1 - cosine**2
+    root = np.sqrt(cosine**2 + alpha**2 * sin2)
+    return cosine + root, alpha * sin2 / root
 
 
 def _ndf_log_derivative(cos_m: FloatArray, alpha: float, distribution: Distribution) -> FloatArray:

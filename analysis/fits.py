@@ -6,12 +6,17 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
+<<<<<<< HEAD
 from analysis.colour import colour_differences, has_colour
+=======
+from analysis.brdf_two_component import local_slopes
+from analysis.colour import COLOUR_RANGE, colour_differences
+>>>>>>> 3dc2931398e527027c28d587a5aea1ffa44d6a1b
 from analysis.directions import Directions
 from analysis.distributions import Distribution
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
-from analysis.global_fit import SLOPE_MODELS, global_fit, slope_and_derivative
+from analysis.global_fit import SLOPE_MODELS, global_fit, search_slopes, slope_and_derivative
 from analysis.least_squares import Engine
 from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import Weight
@@ -67,7 +72,7 @@ def fit_models(
         return found[model]
 
     return tuple(
-        compared(fitted(model), fitted(SIMPLER[model]), dataset) if model in SIMPLER else fitted(model)
+        compared(fitted(model), fitted(SIMPLER[model]), dataset, conductor) if model in SIMPLER else fitted(model)
         for model in models
     )
 
@@ -89,16 +94,23 @@ def local_fit_for(
     return local_fit(dataset, conductor, engine=engine, fresnel=not of_dielectric)
 
 
-def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset) -> ModelFit:
+def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset, conductor: Conductor | None = None) -> ModelFit:
     """`fit` with its comparison to a simpler model of the same cost, and a verdict that knows of it.
 
     The Bayesian information criterion is n ln(cost / n) + k ln(n) (Schwarz 1978) with k parameters and n independent
     residuals, as which the residuals of `fit` count by their autocorrelation: that of all residuals would call every
-    trifle significant where neighbours repeat each other.
+    trifle significant where neighbours repeat each other. The two components of a metal (`conductor`, aluminium unless
+    given) are fitted to the slopes of the spectra as well, so what is left of these counts in the same way, beside the
+    least that any cosine leaves.
     """
     n = max(fit.independent, 2.0)
     more = len(fit.parameters) - len(simpler.parameters)
     bic = n * math.log(simpler.cost_value / fit.cost_value) - more * math.log(n) if fit.cost_value > 0 else math.inf
+    slopes = local_slopes(dataset, conductor or load_conductor()) if fit.model == "two-component" else None
+    if slopes is not None:
+        _, of_cosine = search_slopes("global", slopes.values, slopes.root_weight**2, slopes.directions, "fast")
+        of_fit = slopes.chi_square(fitted_slope(fit, slopes.directions))
+        bic += min(n, float(slopes.values.size)) * math.log(of_cosine / of_fit)
     gained = _mean_difference(dataset, simpler.fitted) - _mean_difference(dataset, fit.fitted)
     comparison = Comparison(simpler.model, bic, gained)
     evidence = f"BIC {_fall(bic, 3)}, mean dE00 {_fall(gained, 2)}"

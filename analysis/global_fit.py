@@ -20,7 +20,12 @@ from analysis.models import cosine_slope_derivative, shift_is_clamped
 from analysis.propagation import correlation, covariance_by_part, errors_by_part, variance_of_each_point
 from analysis.results import LocalFit, ModelFit, Parameter
 from analysis.structure import Structure, structure
-from analysis.two_component import TWO_COMPONENTS, two_component_slope, two_component_slope_derivative
+from analysis.two_component import (
+    TWO_COMPONENTS,
+    two_component_shapes,
+    two_component_slope,
+    two_component_slope_derivative,
+)
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
@@ -43,8 +48,14 @@ _SLOPES = {
     "global": "m = h cos(w theta_m) + t_y",
     "global-two-component": f"m = {TWO_COMPONENTS}",
 }
-_STARTS = tuple(product((0.0, 1.0, 2.0), (0.1, 3.0)))
-"""kappa and sharpness from which a two-component slope starts, beside several w."""
+_SHAPES = np.array(
+    list(product((0.7, 1.2, 1.8, 2.5, 3.2, 4.0, 5.0, 7.0), (0.0, 0.3, 0.6, 1.0, 1.5), (0.1, 0.7, 3.0, 15.0, 50.0),
+                 (-1.5, -0.7, 0.0, 0.7)))
+)  # fmt: skip
+"""[shapes, 4] w, kappa, sharpness and threshold among which a two-component slope looks for its starts."""
+
+_FOLLOWED = 5
+"""Starts of a two-component slope that are followed downhill."""
 
 SLOPE_MODELS = tuple(_NAMES)
 """Names of the models that `global_fit` knows."""
@@ -192,15 +203,24 @@ def search_slopes(
     if model == "global":
         end = minimise(problem, start, everything, engine)
         return end.parameters, end.cost
-    ends = [
-        minimise(problem, np.array([start[0], w, start[2], kappa, sharpness, 0.0]), everything, "fast")
-        for w in (start[1], 1.0, 2.0, 4.0)
-        for kappa, sharpness in _STARTS
-    ]
+    starts = [np.concatenate([start, np.zeros(3)]), *_two_component_starts(slopes, weight, seen)]
+    ends = [minimise(problem, each, everything, "fast") for each in starts]
     best = min(ends, key=lambda end: end.cost)
     if engine == "lmfit":
         best = minimise(problem, best.parameters, everything, engine)
     return best.parameters, best.cost
+
+
+def _two_component_starts(slopes: FloatArray, weight: FloatArray, seen: Directions) -> list[FloatArray]:
+    """The best shape of each kappa, h and t_y solved for."""
+    shapes = two_component_shapes(seen, _SHAPES)
+    around = shapes - (shapes @ weight / weight.sum())[:, None]
+    size, along = around**2 @ weight, around @ (weight * slopes)
+    h = np.divide(along, size, out=np.zeros_like(size), where=size > 0)
+    t_y = (slopes @ weight - h * (shapes @ weight)) / weight.sum()
+    gained = h * along
+    best = [np.flatnonzero(of)[np.argmax(gained[of])] for of in (_SHAPES[:, 1] == k for k in np.unique(_SHAPES[:, 1]))]
+    return [np.array([h[i], _SHAPES[i, 0], t_y[i], *_SHAPES[i, 1:]]) for i in best]
 
 
 def slope_problem(model: str, slopes: FloatArray, weight: FloatArray, seen: Directions) -> SumOfSquares:

@@ -10,7 +10,6 @@ Levenberg-Marquardt in a, m and p from one start, spectrum by spectrum as in the
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
@@ -31,53 +30,71 @@ _STARTS = np.linspace(*EXPONENT_BOUNDS, 9)
 _ITERATIONS = 80
 _TOLERANCE = 1e-8
 _ROUGHLY = 1e-4
-_AT_ONCE = 64
+_AT_ONCE = 100
+
+_LEAST_LEFT = 1e-13
+"""A column that the others replace but for this share says nothing of its parameter in double precision."""
+
+_ROUNDING = 1e-13
+"""Share of a sum that may be lost in rounding."""
 
 
 class _Spectra(NamedTuple):
     """What the fit reads; wavelengths last."""
 
-    values: FloatArray
-    """[points, wavelengths] BRDF, 1/sr; 0 where there is none."""
-    root_weight: FloatArray
-    """[points, wavelengths] one over the standard uncertainty from the counts; 0 where there is no value."""
-    x: FloatArray
-    """[wavelengths] distance to lambda_n, um."""
+    weight: FloatArray
+    """[points, wavelengths] one over the squared standard uncertainty from the counts; 0 where there is no value."""
+    weighted: FloatArray
+    """[points, wavelengths] BRDF, 1/sr, times weight."""
     log_fresnel: FloatArray
     """[points, wavelengths] logarithm of F / F(lambda_n) at the incident angle."""
+    x: FloatArray
+    """[wavelengths] distance to lambda_n, um."""
 
-    target: FloatArray
-    """[points, wavelengths] values times root_weight."""
-
-    def take(self, points: BoolArray | NDArray[np.intp]) -> "_Spectra":
-        if points.dtype == np.bool_ and points.all():
+    def take(self, points: BoolArray | slice) -> "_Spectra":
+        if not isinstance(points, slice) and points.all():
             return self
-        values, root_weight, log_fresnel, target = (
-            part[points] for part in (self.values, self.root_weight, self.log_fresnel, self.target)
-        )
-        return _Spectra(values, root_weight, self.x, log_fresnel, target)
+        return _Spectra(self.weight[points], self.weighted[points], self.log_fresnel[points], self.x)
 
     def binned(self, count: int) -> "_Spectra":
         """The same averaged over neighbours to about `count` wavelengths: a good estimate costs little there."""
         edges = np.arange(0, self.x.size, max(1, self.x.size // count))
         members = np.diff(np.append(edges, self.x.size))
-        weight = np.add.reduceat(self.root_weight**2, edges, axis=1)
-        root_weight = np.sqrt(weight)
-        safe = np.where(weight > 0, weight, 1.0)
-        values = np.add.reduceat(self.target * self.root_weight, edges, axis=1) / safe
-        log_fresnel = np.add.reduceat(self.log_fresnel, edges, axis=1) / members
-        x = np.add.reduceat(self.x, edges) / members
-        return _Spectra(values, root_weight, x, log_fresnel, values * root_weight)
+        weight, weighted, log_fresnel = (np.add.reduceat(part, edges, axis=1) for part in self[:3])
+        return _Spectra(weight, weighted, log_fresnel / members, np.add.reduceat(self.x, edges) / members)
 
 
-class _State(NamedTuple):
-    """Best linear parameters for given exponents; [points] but for the columns."""
+class _Normal(NamedTuple):
+    """Normal equations of a, a m and p at given exponents, where a and a m are the best ones; each [..., points].
+
+    The columns are the weighted derivatives of the model: F_n^p, x F_n^p and (a + a m x) ln(F_n) F_n^p.
+    """
 
     scale: FloatArray
+    """a, 1/sr."""
     tilt: FloatArray
     """a m, 1/(sr um)."""
-    columns: FloatArray
-    """[points, 3, wavelengths] derivatives of the weighted model by a, a m and p."""
+    aa: FloatArray
+    """Product of the first column with itself; the next two likewise."""
+    ab: FloatArray
+    bb: FloatArray
+    size: FloatArray
+    """Product of the third column with itself."""
+    along: FloatArray
+    """How much of the first column"""
+    across: FloatArray
+    """and of the second best replaces the third,"""
+    left: FloatArray
+    """and the squared length of what they leave of it."""
+    gradient: FloatArray
+    """Product of the third column with the residual, measured minus model."""
+    explained: FloatArray
+    """Squared length of the model, by which the sum of squares falls."""
+
+    @property
+    def slope(self) -> FloatArray:
+        """[points] m, 1/um; NaN where the scale is zero."""
+        return _ratio(self.tilt, self.scale)
 
 
 def local_fit(
@@ -98,32 +115,34 @@ def local_fit(
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """
     spectra = _spectra(dataset, (conductor or load_conductor()) if fresnel else None, lambda_n)
-    enough = np.count_nonzero(spectra.root_weight, axis=1) >= LEAST_WAVELENGTHS
+    enough = np.count_nonzero(spectra.weight, axis=1) >= LEAST_WAVELENGTHS
     if not enough.any():
         raise FitError(
             f"No spectrum of {dataset.sample} has {LEAST_WAVELENGTHS} wavelengths with a value and an uncertainty "
             "from its counts above zero; check the calibration."
         )
-    fitted_spectra = spectra.take(enough)
-    if not fresnel:
-        exponent, settled = np.zeros(int(enough.sum())), np.ones(int(enough.sum()), dtype=bool)
-        state = _state(fitted_spectra, exponent)
-    elif engine == "fast":
-        exponent, settled = _search_exponent(fitted_spectra)
-        state = _state(fitted_spectra, exponent)
+    spectra = spectra.take(enough)
+    by_lmfit = fresnel and engine == "lmfit"
+    if by_lmfit:
+        scale, slope, exponent, settled = _by_lmfit(spectra)
+    elif fresnel:
+        exponent, settled = _search_exponent(spectra)
     else:
-        exponent, state, settled = _by_lmfit(fitted_spectra)
-    slope = _ratio(state.tilt, state.scale)
+        exponent, settled = np.zeros(int(enough.sum())), np.ones(int(enough.sum()), dtype=bool)
+    power = _power(spectra, exponent)
+    normal = _normal(spectra, power)
+    if by_lmfit:
+        normal = normal._replace(scale=scale, tilt=scale * slope)
+    fitted = _line(normal.scale, normal.tilt, spectra.x)
+    fitted *= power
     gain = np.zeros(dataset.brdf.shape)
-    gain[enough] = _slope_and_exponent_gain(fitted_spectra, state, slope, fresnel)[0] * fitted_spectra.root_weight
+    gain[enough] = _gain_of_slope(spectra, power, normal, fresnel)
     u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))[enough]
 
-    fitted = _model(state.scale, slope, exponent, fitted_spectra)
-    noise = np.where(fitted_spectra.root_weight > 0, fitted * fitted_spectra.root_weight, np.nan)
     low, high = EXPONENT_BOUNDS
     reliable = (
         settled
-        & (np.nanmedian(noise, axis=1) >= 1)
+        & _above_noise(spectra, fitted)
         & (exponent > low)
         & (exponent < high)
         & np.isfinite(u_slope)
@@ -138,11 +157,11 @@ def local_fit(
     everywhere = np.zeros(enough.size, dtype=bool)
     everywhere[enough] = reliable
     return LocalFit(
-        slope=at_all_points(slope),
+        slope=at_all_points(normal.slope),
         u_slope=at_all_points(u_slope),
         exponent=at_all_points(exponent),
-        scale=at_all_points(state.scale),
-        r2=at_all_points(_r2(fitted_spectra, fitted)),
+        scale=at_all_points(normal.scale),
+        r2=at_all_points(_r2(dataset.brdf[enough], spectra.weight > 0, fitted)),
         reliable=everywhere,
         fitted=at_all_points(fitted),
         lambda_n=lambda_n,
@@ -165,8 +184,11 @@ def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor | None) -
     used = local.reliable
     spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
     gain = np.zeros((2, *dataset.brdf.shape))
-    state = _state(spectra, local.exponent[used])
-    gain[:, used] = _slope_and_exponent_gain(spectra, state, local.slope[used], local.fresnel) * spectra.root_weight
+    power = _power(spectra, local.exponent[used])
+    normal = _normal(spectra, power)
+    gain[0, used] = _gain_of_slope(spectra, power, normal, local.fresnel)
+    if local.fresnel:
+        gain[1, used] = _gain(spectra, power, _exponent_gain(normal))
     return gain
 
 
@@ -195,16 +217,14 @@ def _spectra(dataset: Dataset, conductor: Conductor | None, lambda_n: float) -> 
         angles, of_point = np.unique(dataset.theta_in, return_inverse=True)
         log_fresnel = np.log(normalised_fresnel(angles, dataset.wavelengths, conductor, lambda_n))[of_point]
     u = dataset.u_counts
-    valid = np.isfinite(dataset.brdf) & np.isfinite(u) & (u > 0)
-    values = np.where(valid, dataset.brdf, 0.0)
-    root_weight = np.where(valid, 1 / np.where(valid, u, 1.0), 0.0)
-    return _Spectra(
-        values=values,
-        root_weight=root_weight,
-        x=(dataset.wavelengths - lambda_n) * 1e-3,
-        log_fresnel=log_fresnel,
-        target=values * root_weight,
-    )
+    weight = np.square(u)
+    with np.errstate(divide="ignore"):
+        np.divide(1, weight, out=weight)
+    weighted = weight * dataset.brdf
+    # a NaN of either has become one here; a zero uncertainty is an infinite weight, an infinite one a weight of zero
+    invalid = ~np.isfinite(weighted)
+    weight[invalid], weighted[invalid] = 0.0, 0.0
+    return _Spectra(weight, weighted, log_fresnel, (dataset.wavelengths - lambda_n) * 1e-3)
 
 
 def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
@@ -212,88 +232,82 @@ def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
     return np.asarray(np.divide(numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator != 0))
 
 
-def _model(scale: FloatArray, slope: FloatArray, exponent: FloatArray, spectra: _Spectra) -> FloatArray:
-    power = np.exp(exponent[:, None] * spectra.log_fresnel)
-    return np.asarray(scale[:, None] * (1 + slope[:, None] * spectra.x) * power)
+def _line(level: FloatArray, rise: FloatArray, x: FloatArray) -> FloatArray:
+    """[points, wavelengths] level + rise x."""
+    return np.asarray(np.stack([level, rise], axis=1) @ np.stack([np.ones_like(x), x]))
 
 
-class _Normal(NamedTuple):
-    """Normal matrices of the two linear columns, each [points]."""
-
-    aa: FloatArray
-    ab: FloatArray
-    bb: FloatArray
-
-    def solve(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of the two columns, in closed form."""
-        determinant = self.aa * self.bb - self.ab**2
-        return (self.bb * a - self.ab * b) / determinant, (self.aa * b - self.ab * a) / determinant
+def _power(spectra: _Spectra, exponent: FloatArray) -> FloatArray:
+    """[..., points, wavelengths] F_n^p for `exponent` [..., points]."""
+    power = exponent[..., None] * spectra.log_fresnel
+    return np.asarray(np.exp(power, out=power))
 
 
-def _linear(first: FloatArray, second: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, _Normal]:
-    """Scale and tilt [points] that fit the weighted `target` best, and their normal equations."""
-    normal = _Normal(_dot(first, first), _dot(first, second), _dot(second, second))
-    return *normal.solve(_dot(first, target), _dot(second, target)), normal
+def _normal(spectra: _Spectra, power: FloatArray) -> _Normal:
+    """The normal equations where F_n^p is `power`.
 
-
-def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.vecdot(one, other))
-
-
-def _columns(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weighted derivatives of the model by a and a m, each [points, wavelengths]."""
-    first = exponent[:, None] * spectra.log_fresnel
-    np.exp(first, out=first)
-    first *= spectra.root_weight
-    return first, first * spectra.x
-
-
-def _state(spectra: _Spectra, exponent: FloatArray) -> _State:
-    """The best linear parameters for given exponents [points]."""
-    first, second = _columns(spectra, exponent)
-    scale, tilt, _ = _linear(first, second, spectra.target)
-    return _at(spectra, exponent, scale, tilt)
-
-
-def _at(spectra: _Spectra, exponent: FloatArray, scale: FloatArray, tilt: FloatArray) -> _State:
-    """Any parameters [points]."""
-    first, second = _columns(spectra, exponent)
-    model = scale[:, None] * first + tilt[:, None] * second
-    return _State(scale, tilt, np.stack([first, second, model * spectra.log_fresnel], axis=1))
-
-
-def _profile(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """[points] cost of the best linear parameters for given exponents, and Kaufman's Gauss-Newton step of these.
-
-    The residual has no part along the two linear columns, so the step is its part along what these leave of the third.
+    All are sums over wavelengths of weight F_n^2p ln(F_n)^j x^i and of weighted value F_n^p ln(F_n)^j x^i. What is lost
+    in rounding is an exponent of about 1e-13, since the third column is a small part of the spectrum.
     """
-    first, second = _columns(spectra, exponent)
-    scale, tilt, normal = _linear(first, second, spectra.target)
-    model = (scale[:, None] + tilt[:, None] * spectra.x) * first
-    residual = spectra.target - model
-    model *= spectra.log_fresnel
-    with_first, with_second, size = _dot(first, model), _dot(second, model), _dot(model, model)
-    along, across = normal.solve(with_first, with_second)
-    left = size - along * with_first - across * with_second
-    # a column that the others replace but for 1e-13 says nothing of p in double precision
-    solvable = left > 1e-13 * size
-    step = np.where(solvable, _dot(model, residual) / np.where(solvable, left, 1.0), 0.0)
-    return _dot(residual, residual), np.nan_to_num(step)
+    powers = np.stack([np.ones_like(spectra.x), spectra.x, spectra.x**2], axis=1)
+    part = spectra.weighted * power
+    y_0, y_1 = np.moveaxis(part @ powers[:, :2], -1, 0)
+    part *= spectra.log_fresnel
+    y_l0, y_l1 = np.moveaxis(part @ powers[:, :2], -1, 0)
+    np.multiply(power, power, out=part)
+    part *= spectra.weight
+    aa, ab, bb = np.moveaxis(part @ powers, -1, 0)
+    part *= spectra.log_fresnel
+    l_0, l_1, l_2 = np.moveaxis(part @ powers, -1, 0)
+    part *= spectra.log_fresnel
+    ll_0, ll_1, ll_2 = np.moveaxis(part @ powers, -1, 0)
+
+    determinant = aa * bb - ab**2
+    scale, tilt = (bb * y_0 - ab * y_1) / determinant, (aa * y_1 - ab * y_0) / determinant
+    with_first, with_second = scale * l_0 + tilt * l_1, scale * l_1 + tilt * l_2
+    size = scale**2 * ll_0 + 2 * scale * tilt * ll_1 + tilt**2 * ll_2
+    along = (bb * with_first - ab * with_second) / determinant
+    across = (aa * with_second - ab * with_first) / determinant
+    return _Normal(
+        scale=scale,
+        tilt=tilt,
+        aa=aa,
+        ab=ab,
+        bb=bb,
+        size=size,
+        along=along,
+        across=across,
+        left=size - along * with_first - across * with_second,
+        gradient=scale * (y_l0 - with_first) + tilt * (y_l1 - with_second),
+        explained=scale * y_0 + tilt * y_1,
+    )
 
 
-def _inverse_normal(columns: FloatArray) -> FloatArray:
-    """[points, n, n] inverse normal matrices, scaled to a unit diagonal first; NaN where singular."""
-    normal = columns @ columns.transpose(0, 2, 1)
-    size = np.sqrt(np.einsum("pii->pi", normal))
-    solvable = np.all(size > 0, axis=1)
-    size = np.where(solvable[:, None], size, 1.0)
-    scaled = normal / (size[:, :, None] * size[:, None, :])
-    # a correlation within 1e-13 of one is beyond double precision
-    solvable &= np.linalg.det(scaled) > 1e-13
-    scaled[~solvable] = np.eye(columns.shape[1])
-    inverse = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
-    inverse[~solvable] = np.nan
-    return np.asarray(inverse)
+def _exponent_gain(normal: _Normal) -> FloatArray:
+    """[4, points] derivative of the exponent by the data as `_gain` takes it; NaN where they do not determine it."""
+    determined = (1 - normal.ab**2 / (normal.aa * normal.bb)) * normal.left > _LEAST_LEFT * normal.size
+    left = np.where(determined, normal.left, np.nan)
+    return np.stack([-normal.along, -normal.across, normal.scale, normal.tilt]) / left
+
+
+def _gain_of_slope(spectra: _Spectra, power: FloatArray, normal: _Normal, fresnel: bool) -> FloatArray:
+    """[points, wavelengths] derivative of the slope by the data; without `fresnel` the exponent is held."""
+    slope, nothing = normal.slope, np.zeros_like(normal.aa)
+    determinant = normal.aa * normal.bb - normal.ab**2
+    of_line = np.stack([-normal.ab - slope * normal.bb, normal.aa + slope * normal.ab, nothing, nothing]) / determinant
+    if fresnel:
+        of_line = of_line - (normal.across - slope * normal.along) * _exponent_gain(normal)
+    return _gain(spectra, power, _ratio(of_line, np.broadcast_to(normal.scale, of_line.shape)))
+
+
+def _gain(spectra: _Spectra, power: FloatArray, parts: FloatArray) -> FloatArray:
+    """[points, wavelengths] weight F_n^p (k_0 + k_1 x + (k_2 + k_3 x) ln F_n) for `parts` k [4, points]."""
+    gain = _line(parts[2], parts[3], spectra.x)
+    gain *= spectra.log_fresnel
+    gain += _line(parts[0], parts[1], spectra.x)
+    gain *= power
+    gain *= spectra.weight
+    return gain
 
 
 def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
@@ -302,12 +316,13 @@ def _search_exponent(spectra: _Spectra) -> tuple[FloatArray, BoolArray]:
     On binned spectra from the best of nine exponents, so that a second minimum does not catch it, and from there on all
     wavelengths, a few spectra at a time, so that they stay in the processor's cache.
     """
-    points = spectra.values.shape[0]
+    points = spectra.weight.shape[0]
     binned = spectra.binned(50)
     coarse = binned.binned(16)
-    costs = [_profile(coarse, np.full(points, p))[0] for p in _STARTS]
-    exponent, settled = _descend(binned, _STARTS[np.argmin(costs, axis=0)], _ROUGHLY)
-    for block in np.array_split(np.arange(points), max(1, round(points / _AT_ONCE))):
+    explained = _normal(coarse, _power(coarse, np.repeat(_STARTS[:, None], points, axis=1))).explained
+    exponent, settled = _descend(binned, _STARTS[np.argmax(explained, axis=0)], _ROUGHLY)
+    for first in range(0, points, _AT_ONCE):
+        block = slice(first, first + _AT_ONCE)
         exponent[block], settled[block] = _descend(spectra.take(block), exponent[block], _TOLERANCE)
     return exponent, settled
 
@@ -316,7 +331,7 @@ def _descend(spectra: _Spectra, exponent: FloatArray, tolerance: float) -> tuple
     """Gauss-Newton steps from `exponent`, halved wherever they do not lower the cost; and whether they settled."""
     exponent = exponent.copy()
     settled = np.zeros(exponent.size, dtype=bool)
-    cost, wanted = _profile(spectra, exponent)
+    explained, wanted = _profile(spectra, exponent)
     before = np.full(exponent.size, np.nan)
     for _ in range(_ITERATIONS):
         here = exponent[~settled]
@@ -326,12 +341,12 @@ def _descend(spectra: _Spectra, exponent: FloatArray, tolerance: float) -> tuple
         going = np.abs(step) * np.fmin(np.abs(step / before), 1.0) >= tolerance
         if going.any():
             trial = _profile(spectra, here + step)
-            # the cost of a step below a millionth is lost in rounding, so such a step is taken as it is
-            while np.any(worse := (trial[0] > cost) & (np.abs(step) > 1e-6)):
+            # less than this is lost in rounding, so that such a step is taken as it is
+            while np.any(worse := trial[0] < explained * (1 - _ROUNDING)):
                 step = np.where(worse, 0.5 * step, step)
                 trial = _profile(spectra, here + step)
             exponent[~settled] = here + step
-            cost, wanted, before = trial[0][going], trial[1][going], step[going]
+            explained, wanted, before = trial[0][going], trial[1][going], step[going]
             spectra = spectra.take(going)
         settled[~settled] = ~going
         if settled.all():
@@ -339,48 +354,58 @@ def _descend(spectra: _Spectra, exponent: FloatArray, tolerance: float) -> tuple
     return exponent, settled
 
 
-def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, _State, BoolArray]:
-    """Exponents, state and whether it converged, of lmfit's Levenberg-Marquardt on each spectrum from m = 0, p = 1."""
+def _profile(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """[points] what the best linear parameters explain for given exponents, and Kaufman's Gauss-Newton step of these.
+
+    The residual has no part along the two linear columns, so the step is its part along what these leave of the third.
+    """
+    normal = _normal(spectra, _power(spectra, exponent))
+    solvable = normal.left > _LEAST_LEFT * normal.size
+    step = np.where(solvable, normal.gradient / np.where(solvable, normal.left, 1.0), 0.0)
+    return normal.explained, np.nan_to_num(step)
+
+
+def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """a, m, p and whether it converged, of lmfit's Levenberg-Marquardt on each spectrum from m = 0 and p = 1."""
     import lmfit  # noqa: PLC0415  (takes most of a second)
 
     low, high = EXPONENT_BOUNDS
-    found = np.empty((3, spectra.values.shape[0]))
-    converged = np.zeros(spectra.values.shape[0], dtype=bool)
-    for point, (values, weight, logarithm) in enumerate(
-        zip(spectra.values, spectra.root_weight, spectra.log_fresnel, strict=True)
+    found = np.empty((3, spectra.weight.shape[0]))
+    converged = np.zeros(spectra.weight.shape[0], dtype=bool)
+    for point, (weight, weighted, logarithm) in enumerate(
+        zip(spectra.weight, spectra.weighted, spectra.log_fresnel, strict=True)
     ):
+        root = np.sqrt(weight)
+        target = np.divide(weighted, root, out=np.zeros_like(root), where=root > 0)
 
         def residual(
-            p: lmfit.Parameters, values: FloatArray = values, weight: FloatArray = weight, log_f: FloatArray = logarithm
+            p: lmfit.Parameters, target: FloatArray = target, root: FloatArray = root, log_f: FloatArray = logarithm
         ) -> FloatArray:
             model = p["a"].value * (1 + p["m"].value * spectra.x) * np.exp(p["p"].value * log_f)
-            return np.asarray(weight * (model - values))
+            return np.asarray(root * model - target)
 
         parameters = lmfit.Parameters()
-        parameters.add("a", value=float(values @ weight**2 / (weight @ weight)))
+        parameters.add("a", value=float(weighted.sum() / weight.sum()))
         parameters.add("m", value=0.0)
         parameters.add("p", value=1.0, min=low, max=high)
         result = lmfit.minimize(residual, parameters, calc_covar=False, ftol=1e-15, xtol=1e-15, gtol=1e-15)
         found[:, point] = [result.params[name].value for name in ("a", "m", "p")]
         # MINPACK's 6 to 8 say that rounding stops any further descent, as these tolerances want it
         converged[point] = result.ier in {1, 2, 3, 4, 6, 7, 8}
-    scale, slope, exponent = found
-    return exponent, _at(spectra, exponent, scale, scale * slope), converged
+    return found[0], found[1], found[2], converged
 
 
-def _slope_and_exponent_gain(spectra: _Spectra, state: _State, slope: FloatArray, fresnel: bool) -> FloatArray:
-    """[2, points, wavelengths] derivative of slope and exponent by the weighted data; 0 of an exponent that is held."""
-    columns = state.columns if fresnel else state.columns[:, :2]
-    gain = _inverse_normal(columns) @ columns
-    of_slope = _ratio(gain[:, 1] - slope[:, None] * gain[:, 0], np.broadcast_to(state.scale[:, None], gain[:, 0].shape))
-    return np.stack([of_slope, gain[:, 2] if fresnel else np.zeros_like(of_slope)])
+def _above_noise(spectra: _Spectra, fitted: FloatArray) -> BoolArray:
+    """[points] whether at least half of the fitted values are as large as their noise."""
+    above = np.count_nonzero((fitted > 0) & (fitted**2 * spectra.weight >= 1), axis=1)
+    return np.asarray(2 * above >= np.count_nonzero(spectra.weight, axis=1))
 
 
-def _r2(spectra: _Spectra, fitted: FloatArray) -> FloatArray:
+def _r2(values: FloatArray, valid: BoolArray, fitted: FloatArray) -> FloatArray:
     """[points] coefficient of determination over the valid wavelengths, unweighted; NaN for a constant spectrum."""
-    valid = spectra.root_weight > 0
-    count = valid.sum(axis=1)
-    mean = spectra.values.sum(axis=1) / count
-    around = np.where(valid, spectra.values - mean[:, None], 0.0)
-    left = np.where(valid, spectra.values - fitted, 0.0)
-    return 1 - _ratio(np.sum(left**2, axis=1), np.sum(around**2, axis=1))
+    values = values if valid.all() else np.where(valid, values, 0.0)
+    around = values - (values.sum(axis=1) / np.count_nonzero(valid, axis=1))[:, None]
+    around *= valid
+    left = values - fitted
+    left *= valid
+    return 1 - _ratio(np.vecdot(left, left), np.vecdot(around, around))

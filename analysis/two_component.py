@@ -119,6 +119,17 @@ def two_component_slope_derivative(
     return np.asarray(t_y + h * form), jacobian
 
 
+def two_component_shapes(directions: Directions, shapes: FloatArray) -> FloatArray:
+    """[shapes, points] the slope of many two-component shifts for h = 1 and t_y = 0, at `directions` [points].
+
+    `shapes` [shapes, 4] are w, kappa, sharpness and threshold of each.
+    """
+    w, kappa, q, threshold = shapes.T[:, :, None]
+    theta_m, theta_d = _angles(directions)
+    v = np.cos(w * theta_m) - kappa * np.cos(np.minimum(w * theta_d, np.pi))
+    return np.asarray(_saturated(v - threshold, q) + _saturated(threshold, q))
+
+
 def _checked(sharpness: float) -> float:
     if sharpness.real < 0:
         raise OutOfRange(f"A sharpness of {sharpness:g} has no meaning; it must not be negative.")
@@ -127,7 +138,7 @@ def _checked(sharpness: float) -> float:
 
 def _balance(directions: Directions, w: float, kappa: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """v of the single lobe against the multiple one, and its derivatives by w and kappa."""
-    theta_m, theta_d = (np.arccos(np.clip(cosine, -1, 1)) for cosine in (directions.cos_m, directions.cos_d))
+    theta_m, theta_d = _angles(directions)
     phase = np.minimum(w * theta_d, np.pi)
     back = np.cos(phase)
     v = np.cos(w * theta_m) - kappa * back
@@ -135,7 +146,12 @@ def _balance(directions: Directions, w: float, kappa: float) -> tuple[FloatArray
     return np.asarray(v), np.asarray(by_w), np.asarray(-back)
 
 
-def _saturated(v: FloatArray, q: float) -> FloatArray:
+def _angles(directions: Directions) -> tuple[FloatArray, FloatArray]:
+    """theta_m and theta_d, radians."""
+    return np.arccos(np.clip(directions.cos_m, -1, 1)), np.arccos(np.clip(directions.cos_d, -1, 1))
+
+
+def _saturated(v: FloatArray, q: FloatArray | float) -> FloatArray:
     """tanh(sqrt(q) v) / sqrt(q), which is v for q = 0; by its series where that is more exact."""
     z = q * v**2
     small = np.abs(z) < _SMALL

@@ -214,6 +214,7 @@ class _Run:
         fault = await self._tried(self.auxiliary.closing, "after the last point")
         if fault is not None:
             raise fault
+        await self._obey()  # and during that
         if self.scan.kind == "reference":
             self._check_whole()
 

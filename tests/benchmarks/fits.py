@@ -1,8 +1,8 @@
 """What the fast engine gains over lmfit, and what scanning for a start gains over going downhill from one.
 
-    python -m tests.benchmarks.fits [local] [global] [shift] [starts]
+    python -m tests.benchmarks.fits [local] [global] [shift] [plain] [starts]
 
-Without arguments all four tables are printed. Times are processor times, the shortest of a few runs in this process:
+Without arguments all five tables are printed. Times are processor times, the shortest of a few runs in this process:
 their ratios are to be read; data are drawn from known models with 1 % noise.
 """
 
@@ -45,7 +45,9 @@ def fastest(run: Callable[[], Result], times: int = 3) -> tuple[float, Result]:
     return best, result
 
 
-def dataset(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray, clean: FloatArray) -> Dataset:
+def dataset(
+    theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray, clean: FloatArray, aperture: float = 1.0
+) -> Dataset:
     """`clean` spectra with 1 % noise."""
     u = NOISE * clean + 1e-9
     return Dataset(
@@ -58,7 +60,7 @@ def dataset(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray
         flags=np.zeros(theta_in.size, dtype=np.uint16),
         u_angle=0.005,
         u_zero=0.01,
-        aperture=1.0,
+        aperture=aperture,
     )
 
 
@@ -166,19 +168,25 @@ def cosine() -> None:
     print()
 
 
+USUAL = (0.1, 0.3, 0.5)
+"""Roughnesses from which a user would start."""
+
 ALPHAS = (0.003, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.364, 0.6)
 
 
-def rough(alpha: float, step: float, wavelengths: FloatArray) -> LoewData:
-    """Cook-Torrance with shift (h = 1.2 1/um, w = 3.4) through 1 degree."""
+def rough(alpha: float, step: float, wavelengths: FloatArray, aperture: float = 1.0) -> LoewData:
+    """Cook-Torrance with shift (h = 1.2 1/um, w = 3.4) through an `aperture` in degrees."""
     theta_in, theta_out = directions(step)
     theta_out = np.where(np.abs(theta_out - theta_in) < step / 2, theta_in, theta_out)  # the mirror direction itself
-    rule = round_aperture(1.0, 16, 40) if alpha < 0.05 else round_aperture(1.0)
+    if aperture == 0:
+        rule = round_aperture(0.0, 1, 1)
+    else:
+        rule = round_aperture(aperture, 16, 40) if alpha < 0.05 else round_aperture(aperture)
     parts = [
         measured_cook_torrance(theta_in[some], theta_out[some], wavelengths, alpha, load_conductor(), rule, 1.2, 3.4)
         for some in np.array_split(np.arange(theta_in.size), 40)
     ]
-    return loew_data(dataset(theta_in, theta_out, wavelengths, np.concatenate(parts)))
+    return loew_data(dataset(theta_in, theta_out, wavelengths, np.concatenate(parts), aperture))
 
 
 def shift() -> None:
@@ -211,18 +219,47 @@ def shift() -> None:
     print()
 
 
-def by_plain_descent(view: View, data: LoewData) -> FloatArray:
-    """alpha, h and w of one `lmfit.minimize` from alpha = 0.3, h = 0.5 1/um and w = 2, with everything as it comes."""
+def by_plain_descent(view: View, data: LoewData, start: float = 0.3, bounded: bool = True) -> FloatArray:
+    """alpha, h and w of one `lmfit.minimize` from alpha = `start`, h = 0.5 1/um and w = 2, with everything as it comes.
+
+    alpha is varied as it is, between 0.001 and 1 or without bounds.
+    """
 
     def residual(p: lmfit.Parameters) -> FloatArray:
         return weighted_residual(view, data, np.array([p[name].value for name in ("alpha", "h", "w")]))[0].ravel()
 
-    start = lmfit.Parameters()
-    start.add("alpha", value=0.3, min=1e-3, max=1.0)
-    start.add("h", value=0.5)
-    start.add("w", value=2.0, min=0.0, max=12.0)
-    best = lmfit.minimize(residual, start).params
-    return np.array([best[name].value for name in ("alpha", "h", "w")])
+    wanted = lmfit.Parameters()
+    wanted.add("alpha", value=start, **({"min": 1e-3, "max": 1.0} if bounded else {}))
+    wanted.add("h", value=0.5)
+    wanted.add("w", value=2.0, min=0.0, max=12.0)
+    best = lmfit.minimize(residual, wanted, nan_policy="omit").params
+    return np.array([abs(best["alpha"].value), best["h"].value, best["w"].value])
+
+
+def plain() -> None:
+    """What one lmfit run misses, by where it starts; the model knows the aperture that the data came through."""
+    form, wavelengths = Form(load_conductor(), "cosine"), np.linspace(380, 780, 9)
+    print(
+        "One lmfit run with alpha as it is, from h = 0.5 1/um, w = 2 and the alpha of the column: alpha where it missed"
+    )
+    ways = [(aperture, bounded) for aperture in (1.0, 0.0) for bounded in (True, False)]
+    headed = [f"{aperture:g} deg{', 0.001 to 1' if bounded else ', unbounded'}" for aperture, bounded in ways]
+    print(f"  {'':7}" + "".join(f"{name:>30}" for name in headed))
+    print(f"  {'alpha':>7}" + "".join(f"{start:>10g}" for _ in ways for start in USUAL) + f"{'scans':>8}")
+    missed = np.zeros((len(ways), len(USUAL)), dtype=int)
+    for alpha in ALPHAS:
+        cells, scanned = "", True
+        for i, (aperture, bounded) in enumerate(ways):
+            data = rough(alpha, 0.65, wavelengths, aperture)
+            found = find_starts(form, data)
+            scanned &= abs(found.parameters[0][0] / alpha - 1) < 0.02
+            for j, start in enumerate(USUAL):
+                value = by_plain_descent(found.view, data, start, bounded)[0]
+                good = abs(value / alpha - 1) < 0.02
+                missed[i, j] += not good
+                cells += f"{'found' if good else f'{value:.3g}':>10}"
+        print(f"  {alpha:7g}{cells}{'found' if scanned else 'MISSED':>8}", flush=True)
+    print(f"  {'missed':>7}" + "".join(f"{count:>10}" for count in missed.ravel()) + "\n")
 
 
 def starts() -> None:
@@ -253,7 +290,7 @@ def descents(posed: SumOfSquares, cold: FloatArray, engine: Engine) -> FloatArra
     return np.array([minimise(posed, start, np.ones(3, dtype=bool), engine).cost for start in cold])
 
 
-TABLES = {"local": local, "global": cosine, "shift": shift, "starts": starts}
+TABLES = {"local": local, "global": cosine, "shift": shift, "plain": plain, "starts": starts}
 
 if __name__ == "__main__":
     for wanted in sys.argv[1:] or TABLES:
