@@ -6,12 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
-<<<<<<< HEAD
-from analysis.colour import colour_differences, has_colour
-=======
 from analysis.brdf_two_component import local_slopes
-from analysis.colour import COLOUR_RANGE, colour_differences
->>>>>>> 3dc2931398e527027c28d587a5aea1ffa44d6a1b
+from analysis.colour import colour_differences, has_colour
 from analysis.directions import Directions
 from analysis.distributions import Distribution
 from analysis.errors import FitError
@@ -130,6 +126,8 @@ def _fall(amount: float, digits: int) -> str:
     >>> _fall(12.345, 3), _fall(-0.062, 2)
     ('falls by 12.3', 'rises by 0.062')
     """
+    if math.isnan(amount):
+        return "is not known"
     return f"{'falls' if amount >= 0 else 'rises'} by {abs(amount):.{digits}g}"
 
 
