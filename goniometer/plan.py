@@ -12,15 +12,14 @@ same call.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.geometry import Geometry
-from goniometer.interpolant import Interpolant, Prediction, Shape, condition, latent, learn, predict
-from goniometer.kernel import Scales
+from goniometer.interpolant import Interpolant, Prediction, latent, predict
+from goniometer.learning import learnt_process
 from goniometer.plan_spec import (
     SAME,
     PlanSpec,
@@ -62,17 +61,8 @@ BATCH = 2
 SMALLEST_BATCH = 4
 """Directions that are measured between two looks at the errors, at the least."""
 
-GROWTH = 1.25
-"""What is known of the sample as a whole is learnt anew when there are so many times more points."""
-
-SURPRISE = 3.0
-"""Mean square of normalised residuals, which ought to be 1, from which on points contradict what was learnt."""
-
 CONFIRMED = 2.0
 """The same of predictions that were made before their points were measured, up to which they confirm the process."""
-
-MOST_LEARNT = 400
-"""Points from which a sample's lobe and scales are learnt; of more points every second, third, ... is used."""
 
 FEWEST = 5
 """Points that a process needs."""
@@ -305,7 +295,7 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     theta_in = np.array([p.geometry.theta_in for p in valued])
     theta_out = np.array([p.geometry.theta_out for p in valued])
     values, noise = np.array([p.values for p in valued]), np.array([p.noise for p in valued])
-    process = _process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST), spec.u_angle)
+    process = learnt_process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST), spec.u_angle)
     shape = process.shape
     where = candidates({t: segments(spec, t) for t in spec.theta_in}, shape)
     if spec.importance is not None:
@@ -315,42 +305,6 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     errors = expected_errors(process, where, predicted)
     goals = np.maximum(_wanted(spec), errors.noise_floor)
     return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
-
-
-def _process(
-    theta_in: FloatArray, theta_out: FloatArray, values: FloatArray, noise: FloatArray, first: int, u_angle: float
-) -> Interpolant:
-    """The process conditioned on points, with lobes and scales by those that there were when these were last learnt.
-
-    They are learnt from `first` points, anew whenever there are `GROWTH` times more, and at once when a point comes
-    as a surprise. Each time they are found from the ones before, so the answer depends on the points in their order
-    and on nothing else; it is kept because it takes a while to find.
-    """
-    milestone = min(first, len(theta_in))
-    milestones = [milestone]
-    while (milestone := math.ceil(milestone * GROWTH)) <= len(theta_in):
-        milestones.append(milestone)
-    table = np.column_stack([theta_in, theta_out, values, noise])
-    shape: Shape | None = None
-    for count in milestones:
-        shape = _learnt(table, count, u_angle, shape)
-    assert shape is not None
-    process = condition(shape, theta_in, theta_out, values, noise)
-    if milestones[-1] < len(theta_in) and np.mean(np.diag(process.spread)) > SURPRISE:
-        process = condition(_learnt(table, len(table), u_angle, shape), theta_in, theta_out, values, noise)
-    return process
-
-
-def _learnt(table: FloatArray, count: int, u_angle: float, before: Shape | None) -> Shape:
-    stride = math.ceil(count / MOST_LEARNT)
-    return _learnt_from(table[:count:stride].tobytes(), table.shape[1], u_angle, before.scales if before else None)
-
-
-@lru_cache(maxsize=64)
-def _learnt_from(table: bytes, columns: int, u_angle: float, start: Scales | None) -> Shape:
-    points = np.frombuffer(table).reshape(-1, columns)
-    bands = (columns - 2) // 2
-    return learn(points[:, 0], points[:, 1], points[:, 2 : 2 + bands], points[:, 2 + bands :], u_angle, start)
 
 
 def _reached(measured: list[Measured], known: _Known | None) -> Reached:

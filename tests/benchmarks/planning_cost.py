@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from goniometer import plan
 from goniometer.duration import DEAD_TIME
 from goniometer.geometry import Geometry
 from goniometer.interpolant import predict_values
+from goniometer.learning import learnt_from
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points
 from goniometer.route import Motion, travel
 from tests.benchmarks.sampling import THETA_IN, process_of, uniform_points
@@ -54,7 +54,7 @@ def main() -> None:
     duration = 1e3 * (travel(batch, Motion()).seconds + DEAD_TIME * len(batch))
 
     def afresh() -> None:
-        plan._learnt_from.cache_clear()
+        learnt_from.cache_clear()
         interpolation(SPEC, points)
 
     process = process_of(points)
