@@ -107,7 +107,7 @@ def print_trend(metals: dict[str, Row], patches: dict[str, Row]) -> None:
     if any(after > before for before, after in pairwise(metal)):
         print(
             "Ours does not fall steadily from row to row, against the paper's trend; probably because the bench gives "
-            "its samples one form of lobe and of shift, so that the gain goes with slopes more than with roughness."
+            "its samples one form of lobe and of shift, so the gain goes with their slopes more than with roughness."
         )
     more = {name: found.absolute[1] - found.absolute[2] for name, found in rows.items()}
     worse = [f"{name} ({more[name]:+.2f})" for name in rows if more[name] < -0.005]
