@@ -109,14 +109,14 @@ class TwoComponents(NamedTuple):
     """What pulled in the end; None where the cost alone decided."""
 
 
-def local_slopes(dataset: Dataset, conductor: Conductor) -> LocalSlopes | None:
+def local_slopes(dataset: Dataset, points: BoolArray, conductor: Conductor) -> LocalSlopes | None:
     """The slope of every spectrum beside the Fresnel reflectance that the model gives its direction.
 
     A spectrum is a F (1 + m x) there, linear in a and a m, and weighted by the noise of its counts. The exponent of
-    Eq. 2 has no place in Eq. 7, where F is that of the half vector. None where fewer than twelve spectra of usable
-    points stand above the noise. Raises `OutOfRange` for wavelengths beyond the conductor's table.
+    Eq. 2 has no place in Eq. 7, where F is that of the half vector. None where fewer than twelve of them
+    stand above the noise. Raises `OutOfRange` for wavelengths beyond the conductor's table.
     """
-    used = above_noise(dataset) & dataset.usable
+    used = above_noise(dataset) & points
     if np.count_nonzero(used) < _LEAST_SLOPES:
         return None
     directions = in_plane(dataset.theta_in[used], dataset.theta_out[used])
@@ -148,7 +148,7 @@ def find_two_components(form: Form, data: LoewData, seen: View, cosine: FloatArr
     )
     # without sharpness and kappa it is the cosine
     contained = np.concatenate([of_cosine.parameters, np.zeros(len(form.quantities) - cosine.size)])
-    slopes = local_slopes(data.dataset, _metal(form))
+    slopes = local_slopes(data.dataset, data.points, _metal(form))
     if slopes is not None:
         shift, chi2 = search_slopes(
             "global-two-component", slopes.values, slopes.root_weight**2, slopes.directions, "fast"

@@ -102,7 +102,9 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset, conductor: Cond
     n = max(fit.independent, 2.0)
     more = len(fit.parameters) - len(simpler.parameters)
     bic = n * math.log(simpler.cost_value / fit.cost_value) - more * math.log(n) if fit.cost_value > 0 else math.inf
-    slopes = local_slopes(dataset, conductor or load_conductor()) if fit.model == "two-component" else None
+    slopes = None
+    if fit.model == "two-component":
+        slopes = local_slopes(dataset, dataset.usable, conductor or load_conductor())
     if slopes is not None:
         _, of_cosine = search_slopes("global", slopes.values, slopes.root_weight**2, slopes.directions, "fast")
         of_fit = slopes.chi_square(fitted_slope(fit, slopes.directions))

@@ -86,6 +86,9 @@ def test_a_wrong_lobe_does_not_spoil_the_colours_of_two_components(measure: Meas
     assert fit.comparison is not None
     assert fit.comparison.bic > 100
     assert "local slopes" in fit.cost
+    # at normal incidence this weight has no points, while their slopes are known
+    weighted = brdf_fit(dataset, "two-component", weight="sine")
+    assert weighted.value("kappa") == pytest.approx(TRUTH["kappa"], abs=0.1)
 
 
 def test_a_second_component_that_is_not_there_is_not_trusted(measure: Measure) -> None:

@@ -97,7 +97,8 @@ def test_any_model_can_be_fitted_in_any_way_and_then_stands_in_the_report(
     assert done.returncode == 0, done.stderr
     fitted = json.loads(done.stdout)["fits"]["two-component"]
     assert fitted["distribution"] == "beckmann"
-    assert fitted["metrics"]["cost"]["name"] == "loew, terms weighted by sin(theta_in)"
+    together = "minimised with the chi-square of the local slopes"
+    assert fitted["metrics"]["cost"]["name"] == f"loew, terms weighted by sin(theta_in), {together}"
     assert fitted["comparison"]["simpler_model"] == "cook-torrance-shift"
     with sqlite3.connect(folder / "goniometer.db") as database:
         ((text,),) = database.execute("SELECT json FROM fits WHERE model = 'two-component'")
