@@ -2,7 +2,8 @@
 
 Going downhill alone misses narrow lobes and fast shifts. So alpha (and eta of a dielectric) is scanned without shift,
 then w at every minimum found there, with h solved for: all at a few wavelengths, where a scan costs little. Every
-minimum of the scans is followed downhill at those wavelengths; the distinct ends are the starts.
+minimum of the scans, and the cosine of a metal's local slopes, is followed downhill at those wavelengths; the distinct
+ends are the starts.
 """
 
 import math
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
+from analysis.brdf_two_component import local_slopes
 from analysis.directions import in_plane, round_aperture
 from analysis.fresnel import fresnel_dielectric
 from analysis.global_fit import search_slopes
@@ -59,7 +61,9 @@ def find_starts(form: Form, data: LoewData) -> Starts:
     found = [_descend(seen, coarse, start) for start in _scan_lobe(plain, glimpse, coarse)]
     if form.shift == "cosine":
         lowest = min(cost for _, cost in found)
-        found = [end for start, cost in found if cost <= _WORSE * lowest for end in _follow_w(form, coarse, start)]
+        lobes = [start for start, cost in found if cost <= _WORSE * lowest]
+        found = [end for lobe in lobes for end in _follow_w(form, coarse, lobe)]
+        found += [end for lobe in lobes for end in _follow_slopes(form, data, coarse, lobe)]
     return _starts(form, data, coarse, found)
 
 
@@ -170,6 +174,19 @@ def _follow_w(form: Form, data: LoewData, start: FloatArray) -> list[tuple[Float
         _descend(seen, data, np.concatenate([start, [h[i] if h[i] != 0 else 1e-3, _WS[i]]]))
         for i, _ in _minima(-gained[:, None])
     ]
+
+
+def _follow_slopes(form: Form, data: LoewData, coarse: LoewData, lobe: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Descend from the cosine of the slopes that a metal's spectra have by themselves; nothing where they have none.
+
+    Where lambda_n lies beyond the measured wavelengths a shift changes the brightness of whole spectra; a lobe that
+    was found without shift makes up for that, and h and w do not show in what it leaves.
+    """
+    slopes = None if form.conductor is None else local_slopes(data.dataset, data.points, form.conductor)
+    if slopes is None:
+        return []
+    cosine, _ = search_slopes("global", slopes.values, slopes.root_weight**2, slopes.directions, "fast")
+    return [_descend(_view(form, coarse, lobe), coarse, np.concatenate([lobe, cosine[:2]]))]
 
 
 def _descend(seen: View, data: LoewData, start: FloatArray) -> tuple[FloatArray, float]:

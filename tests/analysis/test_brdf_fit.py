@@ -9,6 +9,7 @@ import pytest
 from analysis.brdf_fit import brdf_fit
 from analysis.distributions import Distribution, lobe_width, ndf
 from analysis.errors import FitError, OutOfRange
+from analysis.least_squares import Engine
 from goniometer.dataset import Dataset, Flag
 
 Measure = Callable[..., Dataset]
@@ -106,6 +107,24 @@ def test_no_shift_of_a_narrow_lobe_is_missed_for_want_of_a_good_start(measure: M
     fit = brdf_fit(measure(0.03, -1.0, 8.0, wavelength_step=46.0, incident=(0, 20, 40, 60)))
     assert fit.value("h") == pytest.approx(-1, abs=4 * fit.standard_error("h"))
     assert fit.value("w") == pytest.approx(8, abs=4 * fit.standard_error("w"))
+
+
+@pytest.mark.parametrize("engine", ["fast", "lmfit"])
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_a_shift_is_found_where_all_wavelengths_lie_beyond_that_at_which_it_is_one(
+    measure: Measure, sample: int, engine: Engine
+) -> None:
+    whole = measure(*SAMPLES[sample], seed=sample)
+    red = whole.wavelengths > 625
+    dataset = replace(
+        whole,
+        wavelengths=whole.wavelengths[red],
+        brdf=whole.brdf[:, red],
+        sources=tuple(replace(source, values=source.values[:, red]) for source in whole.sources),
+    )
+    fit = brdf_fit(dataset, engine=engine)
+    for found, truth in zip(fit.parameters, SAMPLES[sample], strict=True):
+        assert found.value == pytest.approx(truth, rel=0.1)
 
 
 @pytest.fixture(scope="module")
