@@ -2,8 +2,8 @@
 
 Going downhill alone misses narrow lobes and fast shifts. So alpha (and eta of a dielectric) is scanned without shift,
 then w at every minimum found there, with h solved for: all at a few wavelengths, where a scan costs little. Every
-minimum of the scans, and the cosine of a metal's local slopes, is followed downhill at those wavelengths; the distinct
-ends are the starts.
+minimum of the scans is followed downhill at those wavelengths, and so is the cosine of a metal's local slopes where
+lambda_n was not measured; the distinct ends are the starts.
 """
 
 import math
@@ -19,6 +19,7 @@ from analysis.global_fit import search_slopes
 from analysis.least_squares import minimise
 from analysis.loew import LoewData
 from analysis.microfacet import LARGEST_W, Form, View, aperture_for, regressed_albedo, view
+from analysis.models import LAMBDA_N
 from drivers.arrays import BoolArray, FloatArray
 
 SCANNED_ALPHAS = np.geomspace(0.002, 1.0, 32)
@@ -63,7 +64,8 @@ def find_starts(form: Form, data: LoewData) -> Starts:
         lowest = min(cost for _, cost in found)
         lobes = [start for start, cost in found if cost <= _WORSE * lowest]
         found = [end for lobe in lobes for end in _follow_w(form, coarse, lobe)]
-        found += [end for lobe in lobes for end in _follow_slopes(form, data, coarse, lobe)]
+        if not data.dataset.wavelengths[0] <= LAMBDA_N <= data.dataset.wavelengths[-1]:
+            found += [end for lobe in lobes for end in _follow_slopes(form, data, coarse, lobe)]
     return _starts(form, data, coarse, found)
 
 
