@@ -78,7 +78,8 @@ def lobe_derivative(
 
 
 def _reach(cosine: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """2 cos / G1 of GGX, which is above zero below the horizon too, and its derivative by alpha."""
+    """2 cos / G1 of GGX, and its derivative by alpha; below the horizon those at it, so that none is zero."""
+    cosine = np.maximum(cosine, 0.0)
     sin2 = 1 - cosine**2
     root = np.sqrt(cosine**2 + alpha**2 * sin2)
     return cosine + root, alpha * sin2 / root
