@@ -1,0 +1,9 @@
+"""The commands that simulate what light does on a surface."""
+
+import typer
+
+from api.simulate_surface import register as add_surface
+
+simulate = typer.Typer(help="Simulate a surface, and what rays and waves do on it.", no_args_is_help=True)
+for _add in (add_surface,):
+    _add(simulate)

@@ -1,0 +1,43 @@
+"""What the simulations of the command line have in common: which surface, and where results go."""
+
+from html import escape
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.derive import Export, make_folder, write_text
+from goniometer.store import Store
+from simulators.computed import Computed, computed_dataset
+
+SurfaceName = Annotated[
+    str,
+    typer.Argument(
+        help="A sample, e.g. sample-1, gaussian:RMS:LENGTH or brushed:RMS:ACROSS:ALONG (um), or a topography file.",
+        show_default=False,
+    ),
+]
+Size = Annotated[int, typer.Option(min=16, max=16384, help="Points along each side of a synthesised surface.")]
+Pitch = Annotated[float, typer.Option(min=0.01, help="Distance of its points, um.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the surface and of all that is random.")]
+Micro = Annotated[bool, typer.Option("--micro", help="Put 40 nm of roughness below the wavelength on it.")]
+Page = Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the figures to write.")]
+
+
+def store_computed(database: Path, computed: Computed) -> int:
+    """Put a simulated BRDF into a database, as a dataset of no scan, and return its id."""
+    return Store.open(database).add_dataset(None, computed_dataset(computed))
+
+
+def write_page(path: Path, title: str, body: list[str]) -> Export:
+    """Write a self-contained page of chapters of HTML, in the style of reports."""
+    style = (Path(__file__).parent.parent / "analysis" / "report.css").read_text(encoding="utf-8")
+    text = (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n<h1>{escape(title)}</h1>\n"
+        + "\n".join(body)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+    make_folder(path.resolve().parent)
+    return write_text("page", path, text)
