@@ -1,6 +1,7 @@
 """Pieces of HTML that the chapters of a report share."""
 
 from html import escape
+from pathlib import Path
 
 MODEL_NAMES = {
     "local": "Local fit",
@@ -25,3 +26,13 @@ def figure(panels: list[str], caption: str, kind: str = "") -> str:
 def bullets(items: list[str] | tuple[str, ...]) -> str:
     """A list of plain sentences; nothing for no items."""
     return f"<ul>{''.join(f'<li>{escape(item)}</li>' for item in items)}</ul>" if items else ""
+
+
+def page(title: str, body: list[str]) -> str:
+    """A self-contained page of pieces of HTML, light or dark as the reader's system is."""
+    style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n" + "\n".join(body) + "\n</main>\n</body>\n</html>\n"
+    )

@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.errors import ExportError
 from analysis.export_mitsuba import LARGEST_TESTED_ANGLE, BsdfReport
-from analysis.page import MODEL_NAMES, bullets
+from analysis.page import MODEL_NAMES, bullets, page
 from analysis.report_measured import measured_chapter, shift_chapter
 from analysis.report_models import models_chapter
 from analysis.report_quality import budget_chapter, quality_chapter, warnings
@@ -55,29 +55,22 @@ def write_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> None:
 
 def report_html(analysis: SampleAnalysis, facts: RunFacts) -> str:
     """The report as one HTML text."""
-    sample = escape(analysis.dataset.sample)
-    style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-    body = "\n".join(
-        [
-            f"<h1>{sample}: colour and brightness of its reflection</h1>",
-            warnings(analysis.dataset),
-            _opening(analysis, facts),
-            _verdict(analysis),
-            measured_chapter(analysis),
-            shift_chapter(analysis),
-            models_chapter(analysis),
-            quality_chapter(analysis.dataset, facts.too_noisy),
-            budget_chapter(analysis.dataset),
-            _left_out(analysis, facts),
-            _files(analysis, facts),
-            _lineage(analysis.dataset),
-        ]
-    )
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{sample}: BRDF report</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
-    )
+    sample = analysis.dataset.sample
+    body = [
+        f"<h1>{escape(sample)}: colour and brightness of its reflection</h1>",
+        warnings(analysis.dataset),
+        _opening(analysis, facts),
+        _verdict(analysis),
+        measured_chapter(analysis),
+        shift_chapter(analysis),
+        models_chapter(analysis),
+        quality_chapter(analysis.dataset, facts.too_noisy),
+        budget_chapter(analysis.dataset),
+        _left_out(analysis, facts),
+        _files(analysis, facts),
+        _lineage(analysis.dataset),
+    ]
+    return page(f"{sample}: BRDF report", body)
 
 
 def _opening(analysis: SampleAnalysis, facts: RunFacts) -> str:

@@ -4,6 +4,6 @@ import typer
 
 from api.simulate_surface import register as add_surface
 
-simulate = typer.Typer(help="Simulate a surface, and what rays and waves do on it.", no_args_is_help=True)
+simulate = typer.Typer(help="Simulate a surface, and what rays and waves do on it.")
 for _add in (add_surface,):
     _add(simulate)

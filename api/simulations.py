@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from analysis.page import page
 from api.derive import Export, make_folder, write_text
 from goniometer.store import Store
 from simulators.computed import Computed, computed_dataset
@@ -30,14 +31,6 @@ def store_computed(database: Path, computed: Computed) -> int:
 
 
 def write_page(path: Path, title: str, body: list[str]) -> Export:
-    """Write a self-contained page of chapters of HTML, in the style of reports."""
-    style = (Path(__file__).parent.parent / "analysis" / "report.css").read_text(encoding="utf-8")
-    text = (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n<h1>{escape(title)}</h1>\n"
-        + "\n".join(body)
-        + "\n</main>\n</body>\n</html>\n"
-    )
+    """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
     make_folder(path.resolve().parent)
-    return write_text("page", path, text)
+    return write_text("page", path, page(title, [f"<h1>{escape(title)}</h1>", *body]))
