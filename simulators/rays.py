@@ -175,11 +175,7 @@ def trace(surface: Terrain, origins_um: FloatArray, directions: FloatArray, limi
 
 def weights(paths: Paths, table: FloatArray) -> FloatArray:
     """[rays, wavelengths] product of the reflectances of all reflections of each ray; `table` as of `tabulated`."""
-    from simulators.ray_kernel import weigh  # noqa: PLC0415  (compiles)
-
-    product = np.ones((len(paths.reflections), table.shape[1]))
-    weigh(paths.reflections, paths.cosines.T, table, product)
-    return product
+    return _weights_of(paths, np.arange(len(paths.reflections)), table)
 
 
 def tabulated(reflectance: Reflectance) -> FloatArray:
@@ -295,7 +291,7 @@ def _batch(
     cosine = np.outer(along[near], np.sin(looking)) + np.outer(z[near], np.cos(looking))
     ray, point = np.nonzero(cosine >= np.cos(half))
     order = np.minimum(paths.reflections[near[ray]], ORDERS).astype(int) - 1
-    value = (weights(_some(paths, near), table) / z[near, None])[ray]
+    value = (_weights_of(paths, near, table) / z[near, None])[ray]
     first, second = (np.zeros((theta_out.size, ORDERS, table.shape[1])) for _ in range(2))
     np.add.at(first, (point, order), value)
     np.add.at(second, (point, order), value**2)
@@ -313,16 +309,17 @@ def _weight_by_order(paths: Paths, table: FloatArray, chosen: BoolArray) -> Floa
     share = np.bincount(node, node + 1 - place, last + 1) + np.bincount(node + 1, place - node, last + 1)
     total[1] = share @ table
     more = np.flatnonzero(chosen & (paths.reflections > 1))
-    np.add.at(total, paths.reflections[more], weights(_some(paths, more), table))
+    np.add.at(total, paths.reflections[more], _weights_of(paths, more, table))
     return total
 
 
-def _some(paths: Paths, chosen: NDArray[np.intp]) -> Paths:
-    """The paths of these numbers."""
-    return Paths(
-        *(of_all[chosen] for of_all in (paths.escaped, paths.lost, paths.stopped, paths.reflections, paths.directions)),
-        np.ascontiguousarray(paths.cosines.T[:, chosen]).T,
-    )
+def _weights_of(paths: Paths, chosen: NDArray[np.intp], table: FloatArray) -> FloatArray:
+    """[chosen, wavelengths] as `weights`, of the rays of these numbers."""
+    from simulators.ray_kernel import weigh  # noqa: PLC0415  (compiles)
+
+    product = np.ones((chosen.size, table.shape[1]))
+    weigh(paths.reflections[chosen], np.ascontiguousarray(paths.cosines.T[:, chosen]), table, product)
+    return product
 
 
 def _beam(

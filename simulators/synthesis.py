@@ -33,6 +33,9 @@ _FULL, _SPARSE = 3.0, 1.0
 _MET, _CLOSE, _TRIES = 1e-4, 0.02, 30
 """How nearly the wanted roughness is met, and the coverage, and in how many steps at most."""
 
+_SETTLED = 12
+"""Steps after which a coverage twice as far off will do: else the number of beads may swing between two for ever."""
+
 
 @dataclass(frozen=True)
 class Blasted:
@@ -53,7 +56,7 @@ def sandblasted(
     """A square patch of `size` x `size` points with the root mean square height `rms_um`.
 
     `abrasive_um` are the smallest and the largest diameter of the beads (Table 1), all in between equally frequent.
-    `coverage` is the area of all dents over that of the patch, kept within 2 %: exp(-coverage) of it stays bare. Depths
+    `coverage` is the area of all dents over that of the patch, kept within 2 %, or 4 where 2 will not do: exp(-coverage) of it stays bare. Depths
     are spread evenly from half the largest to the largest, which is searched until the roughness is met. Raises
     `UnfitTopography` if such beads cannot make the surface so rough, or if the patch is too small for them.
     """
@@ -70,11 +73,12 @@ def sandblasted(
     # A dent of depth d has the area pi (2 R d - d^2), here averaged over radii and depths.
     mean, mean_square = (1 + _SHALLOWEST) / 2, (1 + _SHALLOWEST + _SHALLOWEST**2) / 3
     depth, number = 3.5 * rms_um, 0
-    for _ in range(_TRIES):
+    for step in range(_TRIES):
         if depth > radii[0]:
             break
         dents = coverage * (size * pitch_um) ** 2 / (np.pi * (sum(radii) * mean * depth - mean_square * depth**2))
-        if abs(number / dents - 1) > _CLOSE:  # else it stays, so that the roughness follows the depth without jumps
+        close = _CLOSE if step < _SETTLED else 2 * _CLOSE
+        if abs(number / dents - 1) > close:  # else it stays, so that the roughness follows the depth without jumps
             number = round(dents)
         heights = _dents(np.random.default_rng(seed).random((number, 4)), radii, depth, size, pitch_um)
         reached = float(heights.std())
