@@ -118,7 +118,7 @@ class VirtualScan:
     """[limit + 1, wavelengths] share of the light that escaped after 0, 1, 2, ... reflections, after absorption."""
     forward: FloatArray
     """[limit + 1, wavelengths] part of `reflected` that left to the side of the mirror direction, over that half of
-    the hemisphere; the rest left to the side where the light came from."""
+    the hemisphere; the rest left to the side where the light came from. What left along the normal counts half."""
 
 
 def terrain(field: HeightField) -> Terrain:
@@ -283,8 +283,9 @@ def _batch(
     east, north = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
     x, y, z = paths.directions.T
     along, sideways = east * x + north * y, east * y - north * x
-    forward = _weight_by_order(paths, table, paths.escaped & (along > 0))
-    reflected = forward + _weight_by_order(paths, table, paths.escaped & (along <= 0))
+    ahead, upright, behind = (
+        _weight_by_order(paths, table, paths.escaped & side) for side in (along > 0, along == 0, along < 0)
+    )
     half = np.radians(aperture / 2)
     near = np.flatnonzero(paths.escaped & (np.abs(sideways) <= np.sin(half)) & (paths.reflections > 0))
     looking = np.radians(theta_out)
@@ -295,7 +296,8 @@ def _batch(
     first, second = (np.zeros((theta_out.size, ORDERS, table.shape[1])) for _ in range(2))
     np.add.at(first, (point, order), value)
     np.add.at(second, (point, order), value**2)
-    return first, second, escaped, np.asarray(paths.lost.sum()), np.asarray(paths.stopped.sum()), reflected, forward
+    lost, stopped = (np.asarray(ended.sum()) for ended in (paths.lost, paths.stopped))
+    return first, second, escaped, lost, stopped, ahead + upright + behind, ahead + upright / 2
 
 
 def _weight_by_order(paths: Paths, table: FloatArray, chosen: BoolArray) -> FloatArray:

@@ -56,9 +56,10 @@ def sandblasted(
     """A square patch of `size` x `size` points with the root mean square height `rms_um`.
 
     `abrasive_um` are the smallest and the largest diameter of the beads (Table 1), all in between equally frequent.
-    `coverage` is the area of all dents over that of the patch, kept within 2 %, or 4 where 2 will not do: exp(-coverage) of it stays bare. Depths
-    are spread evenly from half the largest to the largest, which is searched until the roughness is met. Raises
-    `UnfitTopography` if such beads cannot make the surface so rough, or if the patch is too small for them.
+    `coverage` is the area of all dents over that of the patch, kept within 2 %, or within 4 % where the search would
+    not end otherwise: exp(-coverage) of it stays bare. Depths are spread evenly from half the largest to the largest,
+    which is searched until the roughness is met. Raises `UnfitTopography` if such beads cannot make the surface so
+    rough, or if the patch is too small for them.
     """
     radii = abrasive_um[0] / 2, abrasive_um[1] / 2
     if not (0 < radii[0] <= radii[1] and rms_um > 0 and coverage > 0):
