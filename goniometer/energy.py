@@ -143,11 +143,17 @@ def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled
 
 
 def _nodes(dataset: Dataset, mean: Averages, members: NDArray[np.intp], filled: Filled | None) -> _Nodes:
-    """The measured directions `members` of a slice, and those that are filled and known well enough."""
+    """The measured directions `members` of a slice, and those that are filled and known well enough.
+
+    Nothing is filled where directions were measured after all, as in a simulation, whose detector blocks no light.
+    """
     theta_out, f = dataset.theta_out[members], mean.values[members]
     u, measured = np.zeros(f.shape), np.ones(members.size, dtype=bool)
     if filled is not None:
         mine = filled.tells & (np.abs(filled.theta_in - dataset.theta_in[members].mean()) < SAME_INCIDENCE)
+        gaps = np.diff(theta_out, prepend=-np.inf, append=np.inf)
+        in_gap = gaps[np.searchsorted(theta_out, filled.theta_out)] > BLOCKED_HALF_WIDTH
+        mine &= in_gap & ~np.isclose(filled.theta_out[:, None], theta_out, rtol=0, atol=1e-3).any(axis=1)
         theta_out = np.append(theta_out, filled.theta_out[mine])
         f, u = np.vstack([f, filled.brdf[mine]]), np.vstack([u, filled.u[mine]])
         measured = np.append(measured, np.zeros(np.count_nonzero(mine), dtype=bool))

@@ -68,11 +68,13 @@ class Change:
 
     figure: str
     """What it is, incident angle and all."""
+    is_share: bool
+    """Whether it is a share of light, whose change is told as it is; of others it is told as a part of the value."""
     value: float
     u: float
     """Standard error."""
     rays: float
-    """Change when the number of rays is doubled to what it is; of shares the change itself, else as a part of it."""
+    """Change when the number of rays is doubled to what it is; see `is_share`."""
     area: float
     """Likewise when the area of the surface is doubled."""
     pitch: float
@@ -152,7 +154,9 @@ def convergence(scan: RayScan, coarse: RayScan) -> tuple[Change, ...]:
 
     found, u = jackknife(changes, len(scan.by_order))
     return tuple(
-        Change(name, *map(float, (found[0, i], u[0, i], found[1, i], found[2, i], found[3, i], u[3, i])))
+        Change(
+            name, bool(is_share[i]), *map(float, (found[0, i], u[0, i], found[1, i], found[2, i], found[3, i], u[3, i]))
+        )
         for i, name in enumerate(names)
         if np.isfinite(found[:, i]).all()
     )
