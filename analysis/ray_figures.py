@@ -77,7 +77,7 @@ def halves_panel(theta_in: FloatArray, share: FloatArray, u_share: FloatArray, n
             axes.fill_between(
                 theta_in[seen], floor[seen], (value + COVERAGE * u)[seen], color=colour, alpha=0.25, linewidth=0
             )
-        axes.set(yscale="log", xlim=(-2, 90), ylim=(10 ** np.floor(np.log10(lowest)), 150))
+        axes.set(yscale="log", xlim=(-2, 90), ylim=(0.6 * lowest, 150))
         axes.set(xlabel="θ in / °", ylabel="share of the light that leaves / %")
         axes.set_xticks(range(0, 91, 15))
         axes.yaxis.set_major_formatter("{x:g}")

@@ -187,11 +187,15 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
         entry["datasets"] = list(store.datasets(entry["id"]))
-    imported = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
+    lineages = {i: store.lineage(i) for i, scan_id in store.datasets().items() if scan_id is None}
     samples = store.dataset_samples()
+    sources = {"imported": "file", "simulated": "what"}
+    of_no_scan = [(i, source, told[source]) for i, told in lineages.items() for source in sources if source in told]
     if as_json:
-        told = [{"dataset": i, "sample": samples[i], "file": store.lineage(i)["imported"]} for i in imported]
-        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found, "imported": told})
+        others: dict[str, list[dict[str, object]]] = {source: [] for source in sources}
+        for i, source, what in of_no_scan:
+            others[source].append({"dataset": i, "sample": samples[i], sources[source]: what})
+        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found} | others)
         return
     out = Console()
     names = store.campaigns()
@@ -204,9 +208,8 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for dataset_id in imported:
-        line = f"imported: {samples[dataset_id]}: {store.lineage(dataset_id)['imported']}, dataset {dataset_id}"
-        out.print(line, markup=False, highlight=False)
+    for i, source, what in of_no_scan:
+        out.print(f"{source}: {samples[i]}: {what}, dataset {i}", markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:

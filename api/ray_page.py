@@ -8,7 +8,7 @@ from analysis.page import bullets, figure
 from analysis.ray_figures import COVERAGE, halves_panel, share_panel
 from simulators.heights import Roughness
 from simulators.ray_decomposition import BIN, CONVERGED, FEWEST, Change, halves, shares
-from simulators.ray_scan import LOWEST, WINDOWS, RayScan
+from simulators.ray_scan import HIGHEST, WINDOWS, RayScan
 
 _PANELS = 5
 """Incident angles that Fig. 11 shows."""
@@ -42,7 +42,7 @@ def chapters(
     edges = (
         "The patches repeat without an edge, so no ray is lost at a side."
         if periodic
-        else f"The patch has edges. Light comes in so far within them that it could leave as low as {LOWEST:g}° from "
+        else f"The patch has edges. Light comes in so far within them that it could leave as low as {HIGHEST:g}° from "
         "the normal over its top; what still leaves through a side is lost, and the energy balance says how much."
     )
     box = f'<div class="verdict warn"><strong>Mind</strong>{bullets(warnings)}</div>' if warnings else ""
@@ -66,8 +66,9 @@ def _decomposition(scan: RayScan, nm: float) -> str:
     caption = (
         f"The paper's Fig. 11: of the light that reaches the detector in directions {BIN:g}° wide, how much was "
         f"reflected how often, at {nm:g} nm. Bars of error (k = {COVERAGE}) are those of the share reflected once. "
-        f"Where fewer than {FEWEST} rays arrived nothing is shown: it is dark there. Last: the same over the whole "
-        f"hemisphere, forward and back being its two halves; bands are k = {COVERAGE}."
+        f"Where fewer than {FEWEST} rays arrived nothing is shown: it is dark there. Facets that lie "
+        "level shine into the mirror direction alone, and then make the single reflections there stand out. Last: the "
+        f"same over the whole hemisphere, forward and back being its two halves; bands are k = {COVERAGE}."
     )
     return figure(panels, caption)
 
@@ -98,12 +99,13 @@ def _convergence(scan: RayScan, changes: tuple[Change, ...]) -> str:
         unit = "%" if change.is_share else "% of it"
         value = f"{100 * change.value:.3f} ± {100 * change.u:.3f} %" if change.is_share else _brdf(change)
         steps = "".join(
-            f'<td class="number">{100 * each:+.2f}</td>' for each in (change.rays, change.area, change.pitch)
+            f'<td class="number">{_signed(100 * each)}</td>' for each in (change.rays, change.area, change.pitch)
         )
         good = change.largest < CONVERGED
         verdict = f'<td class="mark {"ok" if good else "bad"}">{"converged" if good else "not below 1 %"}</td>'
         rows.append(
-            f'<tr><td>{escape(change.figure)}</td><td class="number">{value}</td>{steps}<td>{unit}</td>{verdict}</tr>'
+            f'<tr><td>{escape(change.figure)}</td><td class="number">{change.theta_in:g}°</td>'
+            f'<td class="number">{value}</td>{steps}<td class="mark">{unit}</td>{verdict}</tr>'
         )
     done = sum(change.largest < CONVERGED for change in changes)
     return (
@@ -111,7 +113,7 @@ def _convergence(scan: RayScan, changes: tuple[Change, ...]) -> str:
         "area of the surface, or its points along each side are doubled to what they are here. Errors are standard "
         f"errors, from the spread between {WINDOWS**2} windows of each patch, {len(scan.by_order)} in all; they hold "
         f"the number of rays and the sample of the surface. “Around” a direction is {BIN:g}° wide.</p>"
-        '<div class="wide"><table><thead><tr><th>figure</th><th class="number">found</th>'
+        '<div class="wide"><table><thead><tr><th>figure</th><th class="number">θ in</th><th class="number">found</th>'
         '<th class="number">rays ×2</th><th class="number">area ×2</th><th class="number">pitch ÷2</th><th></th>'
         "<th></th></tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table></div>"
@@ -120,3 +122,9 @@ def _convergence(scan: RayScan, changes: tuple[Change, ...]) -> str:
 
 def _brdf(change: Change) -> str:
     return f"{change.value:.4g} ± {change.u:.2g}"
+
+
+def _signed(value: float) -> str:
+    """With two decimals and a sign, unless it is zero then."""
+    text = f"{value:+.2f}".replace("-", "−")
+    return text if text[1:] != "0.00" else "0"

@@ -29,7 +29,8 @@ def warnings(
         worst = max(coarse, key=lambda change: abs(change.pitch))
         told.append(
             f"The pitch of {first.field.pitch_um:g} µm is too coarse for {len(coarse)} of {len(changes)} published "
-            f"figures: twice the pitch changes them by up to {100 * abs(worst.pitch):.2g} % ({worst.figure}); halve it."
+            f"figures: twice the pitch changes them by up to {100 * abs(worst.pitch):.2g} % ({worst.figure}, at an "
+            f"incident angle of {worst.theta_in:g}°); halve it."
         )
     lit = scan.brdf.mean(axis=-1) > 0
     level = np.median((scan.u_level.mean(axis=-1) / np.where(lit, scan.brdf.mean(axis=-1), np.nan))[lit])

@@ -154,7 +154,6 @@ def _angles(text: str, option: str) -> FloatArray:
 
 def _patches(name: str, wanted: int | None, make: Callable[[int], Topography]) -> list[Topography]:
     """As many patches as are wanted; a surface that is the same whatever the seed is one patch, and no more."""
-    screen.print(f"Making {name} ...", markup=False, highlight=False)
     made = [make(0)]
     for number in range(1, wanted or _PATCHES):
         another = make(number)

@@ -22,7 +22,7 @@ Size = Annotated[int, typer.Option(min=16, max=16384, help="Points along each si
 Pitch = Annotated[float, typer.Option(min=0.01, help="Distance of its points, um.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the surface and of all that is random.")]
 Micro = Annotated[bool, typer.Option("--micro", help="Put 40 nm of roughness below the wavelength on it.")]
-Page = Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the figures to write.")]
+Page = Annotated[Path | None, typer.Option("--page", help="HTML page with the figures to write.")]
 
 
 def store_computed(database: Path, computed: Computed) -> int:

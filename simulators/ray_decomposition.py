@@ -26,14 +26,14 @@ CONVERGED = 0.01
 """Change below which a published figure counts as converged."""
 
 _FIGURES = (
-    ("light reflected", True),
-    ("of it more than once", True),
-    ("of it more than once and back", True),
+    ("light reflected, of what falls in", True),
+    ("more than once, of what is reflected", True),
+    ("more than once and back, of what is reflected", True),
     ("BRDF around the mirror direction, 1/sr", False),
     (f"BRDF around {ASIDE:g}° before it, 1/sr", False),
-    ("around the mirror direction, more than once", True),
-    (f"around {ASIDE:g}° before it, more than once", True),
-    ("around the lamp, more than once", True),
+    ("more than once, around the mirror direction", True),
+    (f"more than once, around {ASIDE:g}° before it", True),
+    ("more than once, around the lamp", True),
 )
 """Published figures whose convergence is told, and whether each is a share."""
 
@@ -67,7 +67,9 @@ class Change:
     """One published figure, and by how much it changes where more is computed."""
 
     figure: str
-    """What it is, incident angle and all."""
+    """What it is."""
+    theta_in: float
+    """Degrees."""
     is_share: bool
     """Whether it is a share of light, whose change is told as it is; of others it is told as a part of the value."""
     value: float
@@ -140,8 +142,8 @@ def convergence(scan: RayScan, coarse: RayScan) -> tuple[Change, ...]:
     incident angles.
     """
     angles = coarse.asked.theta_in
-    names = [f"{name}, at {angle:g}°" for name, _ in _FIGURES for angle in angles]
-    is_share = np.repeat([share for _, share in _FIGURES], angles.size)
+    figures = [(*figure, float(angle)) for figure in _FIGURES for angle in angles]
+    is_share = np.array([share for _, share, _ in figures])
     fine, less_fine = (_light_and_directions(each, angles) for each in (scan, coarse))
 
     def changes(parts: Indices) -> FloatArray:
@@ -154,10 +156,8 @@ def convergence(scan: RayScan, coarse: RayScan) -> tuple[Change, ...]:
 
     found, u = jackknife(changes, len(scan.by_order))
     return tuple(
-        Change(
-            name, bool(is_share[i]), *map(float, (found[0, i], u[0, i], found[1, i], found[2, i], found[3, i], u[3, i]))
-        )
-        for i, name in enumerate(names)
+        Change(name, angle, share, *map(float, (found[0, i], u[0, i], *found[1:, i], u[3, i])))
+        for i, (name, share, angle) in enumerate(figures)
         if np.isfinite(found[:, i]).all()
     )
 

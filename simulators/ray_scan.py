@@ -18,19 +18,21 @@ from drivers.arrays import FloatArray
 from simulators.rays import LIMIT, ORDERS, Entry, Terrain, UnfitRays, collected, tabulated
 from simulators.surfaces import Reflectance
 
+HIGHEST = 85.0
+"""Farthest from the normal that light comes from, and that the detector looks from, degrees."""
+
 WINDOWS = 4
 """Windows along each side of a patch."""
-
-LOWEST = 85.0
-"""How far from the normal light should still leave a finite patch over its top, degrees, rather than through its
-side: rays keep so far from the edge that light from the mean height does."""
 
 _HALVES = 2
 
 
 @dataclass(frozen=True)
 class Goniometer:
-    """What is to be measured, and how."""
+    """What is to be measured, and how.
+
+    Raises `UnfitRays` for angles that are not distinct, or beyond `HIGHEST`.
+    """
 
     theta_in: FloatArray
     """[incident] degrees, ascending."""
@@ -49,6 +51,17 @@ class Goniometer:
     """Full angle, degrees."""
     azimuth: float
     """Degrees from x towards y to where a mirror sends the light, the same for all patches."""
+
+    def __post_init__(self) -> None:
+        for name, angles, lowest, highest in (
+            ("incident", self.theta_in, 0.0, HIGHEST),
+            ("detector", self.theta_out, -HIGHEST, HIGHEST),
+        ):
+            if not (angles.size and np.all(np.diff(angles) > 0) and angles[0] >= lowest and angles[-1] <= highest):
+                raise UnfitRays(
+                    f"A scan needs {name} angles that differ, from {lowest:g} to {highest:g} deg, but they are "
+                    f"{', '.join(f'{angle:g}' for angle in angles[:5])}{' ...' if angles.size > 5 else ''}."
+                )
 
 
 @dataclass(frozen=True)
@@ -85,10 +98,8 @@ def ray_scan(
 ) -> RayScan:
     """Scan patches of one kind of surface; `progress` hears the share of the work that is done.
 
-    The result depends on nothing but `surfaces` and `asked`. Raises `UnfitRays` for angles at or beyond the horizon.
+    The result depends on nothing but `surfaces` and `asked`.
     """
-    if np.unique(asked.theta_in).size < asked.theta_in.size:
-        raise UnfitRays("The incident angles of a scan must differ from each other.")
     table = tabulated(asked.reflectance)
     parts = list(product(range(len(surfaces)), range(WINDOWS**2), range(_HALVES)))
     rays = max(2, -(-asked.rays // len(parts)))
@@ -122,15 +133,15 @@ def ray_scan(
 def window(surface: Terrain, number: int, theta_in: float, azimuth: float) -> Entry:
     """Where light comes in that falls, at the mean height, on window `number` of WINDOWS^2, um.
 
-    The windows cover a periodic patch, and of another one what is so far within that light may leave it as low as
-    `LOWEST` without meeting its side, but at least the middle half of each side.
+    The windows cover a periodic patch, and of another one what is so far within that light from the mean height may
+    leave it as low as `HIGHEST` without meeting its side, but at least the middle half of each side.
     """
     low_x, low_y, high_x, high_y = surface.extent_um
     if surface.periodic:
         shift = margin = 0.0
     else:
         above = (surface.top - float(surface.heights.mean())) * surface.pitch_um
-        margin = min(above * np.tan(np.radians(LOWEST)), min(high_x, high_y) / 4)
+        margin = min(above * np.tan(np.radians(HIGHEST)), min(high_x, high_y) / 4)
         shift = min(above * np.tan(np.radians(theta_in)), margin)
     row, column = divmod(number, WINDOWS)
     back_x, back_y = shift * np.cos(np.radians(azimuth)), shift * np.sin(np.radians(azimuth))
