@@ -101,8 +101,8 @@ def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequenc
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->|<style.*?</style>|<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text).replace(INK, "currentColor")
-    # coordinates are fine enough with two decimals; what people read is left as it is
-    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
+    # coordinates are fine enough with two decimals, but not how far an image is stretched; what people read is left
+    text = re.sub(r"<(?!image)[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
     text = _unique_ids(text, name)
     if cells is not None:
         drawn = "\n".join(_rectangle(cells[0], cell, figure.bbox.height) for cell in cells[1])

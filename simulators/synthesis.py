@@ -103,6 +103,25 @@ def sandblasted_sample(sample: Material, size: int, pitch_um: float, seed: int) 
     return sandblasted(sample.abrasive_um, sample.roughness_rms_um, coverage, size, pitch_um, seed)
 
 
+def polished_sample(sample: Material, size: int, pitch_um: float, seed: int) -> HeightField:
+    """The topography of a polished sample: a Gaussian waviness with the roughness of Table 1 and facets of its alpha.
+
+    The autocorrelation length 2 rms / alpha gives Beckmann's roughness alpha, sqrt(2) times the rms slope in each
+    direction, so that the patch is as much of a mirror as the sample; scratches, which the paper's mirror has, are left
+    out. Raises `UnfitTopography` for a patch of less than four such lengths, or for a sample that was sandblasted.
+    """
+    if sample.abrasive_um is not None:
+        raise UnfitTopography(f"The sample {sample.name} was sandblasted; its surface is not that of a polished one.")
+    length = 2 * sample.roughness_rms_um / sample.alpha
+    if length > size * pitch_um / 4:
+        raise UnfitTopography(
+            f"The waviness of {sample.name} is {length:.3g} um long; a patch of {size * pitch_um:g} um is too "
+            f"small for it, make it {4 * length:.0f} um."
+        )
+    field = gaussian(sample.roughness_rms_um, gaussian_correlation(length), size, pitch_um, seed)
+    return replace(field, heights_um=field.heights_um * (sample.roughness_rms_um / field.heights_um.std()))
+
+
 def _dents(drawn: FloatArray, radii: tuple[float, float], depth: float, size: int, pitch_um: float) -> FloatArray:
     """[y, x] heights, um, below the polished plane at zero.
 
