@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from api.arguments import AsJson, emit
-from api.derive import make_folder
+from api.derive import make_folder, write_file
 from api.simulations import Micro, Page, Pitch, Seed, Size, write_page
 from api.surface_facts import Described, described, how_made, remark, shown
 from api.surface_page import one_surface, several_surfaces, title
@@ -51,8 +51,7 @@ def surface_command(
     written = []
     if output is not None:
         make_folder(output.resolve().parent)
-        write_topography(output, found[0].surface.field)
-        written.append(output)
+        written.append(write_file("map", output, lambda part: write_topography(part, found[0].surface.field)).path)
     if page is not None:
         body = one_surface(found[0]) if len(found) == 1 else several_surfaces(found)
         written.append(write_page(page, title(found), body).path)
