@@ -111,7 +111,7 @@ def slopes_over_angle(edges: FloatArray, slopes: Mapping[str, FloatArray], lambd
 def _apart(places: list[tuple[float, str, str]], distance: float) -> list[tuple[float, str, str]]:
     """Labels in order of their height, moved upwards until none is nearer than `distance` to the next, from below."""
     moved: list[tuple[float, str, str]] = []
-    for height, text, colour in sorted(places, key=lambda place: place[0]):
+    for height, text, colour in sorted(places, key=lambda place: round(place[0], 2)):
         lowest = moved[-1][0] + distance if moved else height
         moved.append((max(height, lowest), text, colour))
     over = max(moved[-1][0] - 1.05, 0.0) if moved else 0.0

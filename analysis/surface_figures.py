@@ -38,7 +38,7 @@ def top_view(heights_um: FloatArray, pitch_um: float, name: str, title: str = ""
     Each pixel is the mean of the points that it stands for. `width` of the figure is in points; below `_SMALL` it has
     no names of the axes.
     """
-    left, right, bottom, top = (46, 78, 38, 22) if width >= _SMALL else (28, 54, 22, 20)
+    left, right, bottom, top = (46, 78, 38, 22) if width >= _SMALL else (28, 62, 22, 20)
     side = width - left - right
     shown, step = _coarser(heights_um, pitch_um, int(1.3 * side))
     low, high = _range(shown)
@@ -72,7 +72,7 @@ def perspective(heights_um: FloatArray, pitch_um: float, name: str, title: str =
     scale = pixels / (size[0] * np.cos(_AZIMUTH) + size[1] * np.sin(_AZIMUTH))
     image, corner = _rendered(part * stretch * (high - low), step, part, scale)
     with style():
-        figure, axes = new_axes(width, 0.7 * width, left=8, right=8, bottom=4, top=18)
+        figure, axes = new_axes(width, 0.7 * width, left=0.1 * width, right=8, bottom=4, top=18)
         extent = (corner[0], corner[0] + image.shape[1] / scale, corner[1], corner[1] + image.shape[0] / scale)
         axes.imshow(image, extent=extent, origin="lower", interpolation="none")
         axes.axis("off")

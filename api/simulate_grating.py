@@ -158,17 +158,17 @@ def _as_the_paper(lines: Lines) -> bool:
 
 def _told(found: dict[Spread, Binned], incident: float, smallest_um: float, largest_um: float) -> list[str]:
     """What was computed, and what to make of it."""
-    agree = [_QUANTITY[spread] for spread, binned in found.items() if _as_the_paper(binned.lines)]
+    agree = [spread for spread, binned in found.items() if _as_the_paper(binned.lines)]
+    straight = [
+        f"So do spacings even in {_QUANTITY[spread]}; a line explains {100 * r2[0]:.0f} and {100 * r2[1]:.0f} % of the "
+        f"variance in these two bins and at least {100 * r2[2:].min():.1f} % in the others."
+        for spread, r2 in ((spread, found[spread].lines.r2) for spread in agree)
+    ]
     text = [
         f"Gratings of {smallest_um:g} to {largest_um:g} µm at an incident angle of {incident:g}°, first order; slopes "
         f"in 1/µm at {LAMBDA_N:g} nm, from {WAVELENGTHS[0]:g} to {WAVELENGTHS[-1]:g} nm.",
         "The paper finds linear spectra that fall in the first two bins and rise in all others, and does not state its "
-        "spacings d. "
-        + (
-            f"So do spacings that are even in {' and in '.join(agree)}."
-            if agree
-            else "None of the spreads here does so."
-        ),
+        "spacings d. " + (" ".join(straight) or "None of the spreads here does so."),
         f"Where no end of the spacings is in view, spacings even in d give spectra proportional to the wavelength "
         f"({1e3 / LAMBDA_N:.3f}/µm), in log d constant ones, in 1/d inversely proportional ones: it is the spread that "
         "decides, not diffraction alone.",
