@@ -161,7 +161,7 @@ def _told(found: dict[Spread, Binned], incident: float, smallest_um: float, larg
     agree = [spread for spread, binned in found.items() if _as_the_paper(binned.lines)]
     straight = [
         f"So do spacings even in {_QUANTITY[spread]}; a line explains {100 * r2[0]:.0f} and {100 * r2[1]:.0f} % of the "
-        f"variance in these two bins and at least {100 * r2[2:].min():.1f} % in the others."
+        f"variance in these two bins and at least {100 * r2[2:].min():.2f} % in the others."
         for spread, r2 in ((spread, found[spread].lines.r2) for spread in agree)
     ]
     text = [
