@@ -69,13 +69,13 @@ def test_every_choice_has_its_name_and_tells_its_setting_when_pointed_at() -> No
 def test_no_two_names_lie_on_each_other() -> None:
     close = tuple(Choice(f"name {i}", "", "one", 1 + 0.01 * i, 1.0, 1.1, 1 + 0.01 * ((7 * i) % 5)) for i in range(6))
     drawn = tradeoff_chart(Chart("close", "Close", "", Axis("time", "s"), Axis("error", ""), close))
-    places = re.findall(r"translate\(([\d.]+) ([\d.]+)\)[^>]*>name", drawn) or re.findall(
-        r'x="([\d.]+)" y="([\d.]+)"[^>]*>name', drawn
-    )
-    at = np.array(places, dtype=float)
+    found = re.findall(r'text-anchor: (\w+)[^>]*x="([\d.]+)" y="([\d.]+)"[^>]*>name', drawn)
+    width, height = 24, 6  # of such a name in letters of 8 points
+    left = {"start": 0, "middle": width / 2, "end": width}
+    at = [(float(x) - left[anchor], float(y)) for anchor, x, y in found]
     assert len(at) == 6
-    apart = np.abs(at[:, None] - at[None])
-    assert all(apart[i, j, 0] > 20 or apart[i, j, 1] > 7 for i, j in itertools.combinations(range(6), 2))
+    for (x, y), (other_x, other_y) in itertools.combinations(at, 2):
+        assert abs(x - other_x) > width or abs(y - other_y) > height
 
 
 def test_page_and_json_say_the_same_of_the_front() -> None:
