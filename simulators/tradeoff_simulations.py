@@ -145,6 +145,7 @@ def _wave_chart(name: str, field: HeightField, rounds: int, tell: Tell) -> Chart
     pieces = {
         points: HeightField(field.heights_um[:points, :points], pitch, periodic=False)
         for points in (size // 8, size // 4, size // 2)
+        if points * pitch > 2 * _REACH * float(coherence.size(wavelengths).max())
     }
 
     def everywhere(piece: HeightField, _: int) -> FloatArray:

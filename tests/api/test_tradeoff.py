@@ -1,6 +1,7 @@
 """`goniometer tradeoff` charts what it says it does."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,26 +9,38 @@ import pytest
 from analysis.fresnel import load_conductor
 from analysis.tradeoff_fits import fit_charts
 from api.cli import main
-from simulators.materials import material
+from drivers.arrays import FloatArray
+from simulators.materials import material, true_brdf
 from simulators.topography import topography
 from simulators.tradeoff_bench import drawn
+from simulators.tradeoff_scans import scan_charts
 from simulators.tradeoff_simulations import simulation_charts
 
 
-def test_scans_of_a_bench_material_are_charted_with_a_dynamic_one_on_the_front(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path
+def test_a_dynamic_scan_is_on_the_front_of_a_narrow_lobe() -> None:
+    def truth(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
+        return true_brdf(material("sample-8"), theta_in, theta_out, wavelengths) * np.cos(np.radians(theta_in))[:, None]
+
+    error, colour = scan_charts("sample-8", truth, (0.0, 30.0, 60.0), 1, lambda _: None)
+    assert "dynamic" in [choice.family for i, choice in enumerate(error.choices) if i in error.front]
+    by_name = {(choice.family, choice.name): choice.error for choice in colour.choices}
+    assert by_name["uniform", "2°"] < by_name["uniform", "10°"]
+
+
+@pytest.mark.slow
+def test_the_command_writes_one_json_object_and_a_page(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     page = tmp_path / "charts.html"
-    command = ["goniometer", "tradeoff", "scans", "--sample", "sample-1", "--rounds", "1", "-o", str(page), "--json"]
-    monkeypatch.setattr("sys.argv", command)
+    command = ["goniometer", "tradeoff", "fits", "--sample", "two-component-1", "--rounds", "1"]
+    monkeypatch.setattr("sys.argv", [*command, "-o", str(page), "--json"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert not ended.value.code
     charts = json.loads(capsys.readouterr().out)["charts"]
-    assert [chart["kind"] for chart in charts] == ["scan-error", "scan-colour"]
-    best = [choice["family"] for choice in charts[0]["choices"] if choice["on_front"]]
-    assert "dynamic" in best
-    assert "Scanning" in page.read_text(encoding="utf-8")
+    assert [chart["kind"] for chart in charts] == ["fit-parameters", "fit-colour", "fit-local"]
+    assert all(any(choice["on_front"] for choice in chart["choices"]) for chart in charts)
+    assert "time of a fit / s" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
