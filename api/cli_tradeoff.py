@@ -32,8 +32,6 @@ class Kind(StrEnum):
 
 
 THETA_IN = tuple(float(angle) for angle in range(0, 81, 10))
-SIZE, PITCH = 1024, 0.25
-"""Of the simulated surface: points along each side, um."""
 
 
 def register(app: typer.Typer) -> None:
@@ -88,7 +86,7 @@ def _charts(kind: Kind, own: Dataset | None, sample: str, surface: str, rounds: 
             return true_brdf(what, theta_in, theta_out, wavelengths) * np.cos(np.radians(theta_in))[:, None]
 
         return scan_charts(sample, truth, THETA_IN, rounds, _tell)
-    made = topography(surface, SIZE, PITCH, 1, micro=False)
+    made = topography(surface, None, None, 1, micro=False)
     return simulation_charts(made.name, made.field, rounds, _tell)
 
 

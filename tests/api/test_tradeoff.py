@@ -33,7 +33,7 @@ def test_the_command_writes_one_json_object_and_a_page(
 ) -> None:
     page = tmp_path / "charts.html"
     command = ["goniometer", "tradeoff", "fits", "--sample", "two-component-1", "--rounds", "1"]
-    monkeypatch.setattr("sys.argv", [*command, "-o", str(page), "--json"])
+    monkeypatch.setattr("sys.argv", [*command, "--page", str(page), "--json"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert not ended.value.code
