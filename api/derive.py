@@ -19,7 +19,7 @@ from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 from goniometer.errors import StoreFull
-from simulators.tabulated import write_tabulated
+from simulators.tabulated_file import write_tabulated
 
 REPORT = "report.html"
 """Name of the report in the folder of a sample."""

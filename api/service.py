@@ -45,7 +45,7 @@ from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
 from simulators.materials import PANEL_CERTIFICATE, material
-from simulators.tabulated import Tabulated
+from simulators.tabulated import Tabulated, check_reach
 
 ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
 """Phases of a scan that some process is running, or was when it was killed."""
@@ -313,13 +313,14 @@ async def run(
 def _with_materials(campaign: Campaign) -> Campaign:
     """The campaign with what is in every file that is a material of the simulated bench.
 
-    Raises `InputError` for a material that there is not.
+    Raises `InputError` for a material that there is not, and for directions of which a table knows nothing.
     """
 
     def known(sample: Sample) -> Sample:
         lying, file = material(sample.material), material_file(sample.material)
         if file is None or not isinstance(lying, Tabulated):
             return sample
+        check_reach(lying, campaign.theta_in, (campaign.outgoing.start, campaign.outgoing.stop))
         content = Content(lying.sha256, float(lying.wavelengths[0]), float(lying.wavelengths[-1]))
         return sample.model_copy(update={"material": str(file._replace(content=content))})
 

@@ -10,7 +10,8 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_da
 from api.derive import slug, write_material
 from goniometer.errors import InputError
 from goniometer.material_file import MaterialFile
-from simulators.tabulated import Tabulated, read_tabulated
+from simulators.tabulated import Tabulated
+from simulators.tabulated_file import read_tabulated
 
 
 def register(app: typer.Typer) -> None:
@@ -46,6 +47,7 @@ def _content(made: Tabulated) -> dict[str, object]:
     return {
         "sample": made.name,
         "theta_in_deg": [row.theta_in for row in made.rows],
+        "theta_out_range_deg": list(made.range_out),
         "directions": sum(row.theta_out.size for row in made.rows),
         "filled_directions": made.filled,
         "wavelengths_nm": made.wavelengths.tolist(),
@@ -59,10 +61,12 @@ def _lines(made: Tabulated, path: Path) -> list[str]:
     angles = ", ".join(f"{row.theta_in:.3g}" for row in made.rows)
     filled = f"{made.filled} of them filled by what stands around them" if made.filled else "none of them filled"
     aperture = f"averages over an aperture of {made.aperture:g}°" if made.aperture else "values without aperture"
+    left, right = made.range_out
     return [
         f"Wrote {path}",
         f"{made.name}: {directions} directions, {filled}; {aperture}; {made.wavelengths.size} wavelengths from "
         f"{made.wavelengths[0]:g} to {made.wavelengths[-1]:g} nm",
-        f"It needs no reading in between at the incident angles {angles} deg; in a campaign beside it: "
-        f"material: {MaterialFile(Path(path.name))}",
+        f"Measure it at the incident angles {angles}°, where nothing is read in between, and θ out from {left:g}° to "
+        f"{right:g}°".replace("-", "−"),
+        f"In a campaign beside it: material: {MaterialFile(Path(path.name))}",
     ]

@@ -16,7 +16,8 @@ from goniometer.certificate import NOMINAL_SRS99, Certificate
 from goniometer.errors import InputError
 from goniometer.material_file import material_file
 from simulators.surfaces import PATCHES, SANDBLASTED, SANDED, Surface, colorchecker_patch, over_aperture, surface_brdf
-from simulators.tabulated import Tabulated, read_tabulated, tabulated_brdf
+from simulators.tabulated import Tabulated, tabulated_brdf
+from simulators.tabulated_file import read_tabulated
 
 DETECTOR_APERTURE = 1.0
 """Full angle of the detector's round aperture, degrees."""
