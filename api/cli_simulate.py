@@ -3,8 +3,9 @@
 import typer
 
 from api.simulate_grating import register as add_grating
+from api.simulate_material import register as add_material
 from api.simulate_surface import register as add_surface
 
 simulate = typer.Typer(help="Simulate a surface, and what rays and waves do on it.")
-for _add in (add_surface, add_grating):
+for _add in (add_surface, add_grating, add_material):
     _add(simulate)

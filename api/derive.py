@@ -19,6 +19,7 @@ from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 from goniometer.errors import StoreFull
+from simulators.tabulated_file import write_tabulated
 
 REPORT = "report.html"
 """Name of the report in the folder of a sample."""
@@ -32,7 +33,7 @@ class Export:
     """A file that was written."""
 
     file_format: str
-    """"json", "mitsuba" or "report"."""
+    """"json", "mitsuba", "report", "material", ..."""
     path: Path
     sha256: str
 
@@ -73,6 +74,11 @@ _CONTENT = {
 def write_text(file_format: str, path: Path, text: str) -> Export:
     """Write a text."""
     return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_material(path: Path, dataset: Dataset) -> Export:
+    """Write a dataset as the table of a material for the simulated bench."""
+    return _written("material", path, lambda part: write_tabulated(part, dataset))
 
 
 def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> Export:

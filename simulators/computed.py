@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.checks import checks_of_imported, noise_flags
+from goniometer.checks import checks_of_simulated, noise_flags
 from goniometer.dataset import Dataset
 from goniometer.derived import software_version
 from goniometer.uncertainty import ErrorSource
@@ -58,4 +58,4 @@ def computed_dataset(computed: Computed) -> Dataset:
         aperture=computed.aperture,
         lineage=computed.lineage | {"software_version": software_version()},
     )
-    return replace(dataset, checks=checks_of_imported(dataset))
+    return replace(dataset, checks=checks_of_simulated(dataset))
