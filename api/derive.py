@@ -78,7 +78,7 @@ def write_text(file_format: str, path: Path, text: str) -> Export:
 
 def write_material(path: Path, dataset: Dataset) -> Export:
     """Write a dataset as the table of a material for the simulated bench."""
-    return _written("material", path, lambda part: write_tabulated(part, dataset))
+    return write_file("material", path, lambda part: write_tabulated(part, dataset))
 
 
 def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> Export:
