@@ -18,8 +18,8 @@ def register(app: typer.Typer) -> None:
 
 def surface_command(
     surface: SurfaceName,
-    size: Size = 1024,
-    pitch: Pitch = 0.5,
+    size: Size = None,
+    pitch: Pitch = None,
     seed: Seed = 1,
     micro: Micro = False,
     as_json: AsJson = False,

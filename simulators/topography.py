@@ -13,6 +13,9 @@ from simulators.synthesis import (
     with_micro_roughness,
 )
 
+SIZE, PITCH_UM = 1024, 0.5
+"""Usual points along each side of a synthesised surface, and their distance, um."""
+
 
 @dataclass(frozen=True)
 class Topography:
@@ -24,14 +27,16 @@ class Topography:
     """How it was made or read, for the lineage of what is computed from it."""
 
 
-def topography(what: str, size: int, pitch_um: float, seed: int, *, micro: bool) -> Topography:
+def topography(what: str, size: int | None, pitch_um: float | None, seed: int, *, micro: bool) -> Topography:
     """The surface that `what` names, synthesised on `size` x `size` points of `pitch_um`.
 
     "sample-1" to "sample-8" are the paper's, sandblasted as Table 1 says; "gaussian:RMS:LENGTH" has a Gaussian
-    autocorrelation and "brushed:RMS:ACROSS:ALONG" strokes, all lengths in um. `micro` puts the usual roughness below
-    the wavelength on it (`simulators.synthesis.with_micro_roughness`). Raises `InputError` for anything else.
+    autocorrelation and "brushed:RMS:ACROSS:ALONG" strokes, all lengths in um. A size or a pitch of None is the usual
+    one. `micro` puts the usual roughness below the wavelength on it (`simulators.synthesis.with_micro_roughness`).
+    Raises `InputError` for anything else.
     """
     kind, *numbers = what.split(":")
+    size, pitch_um = size or SIZE, pitch_um or PITCH_UM
     origin: dict[str, object] = {"surface": what, "size": size, "pitch_um": pitch_um, "seed": seed}
     if kind in SAMPLES:
         field = sandblasted_sample(SAMPLES[kind], size, pitch_um, seed).field
