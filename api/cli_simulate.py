@@ -3,7 +3,8 @@
 import typer
 
 from api.simulate_surface import register as add_surface
+from api.simulate_waves import register as add_waves
 
 simulate = typer.Typer(help="Simulate a surface, and what rays and waves do on it.")
-for _add in (add_surface,):
+for _add in (add_surface, add_waves):
     _add(simulate)

@@ -9,15 +9,16 @@ rays.
 
 What is assumed: diffraction at the first reflection changes how much light of each wavelength meets the surface again,
 and nothing more. Light of short and of long waves that meets it again goes the same ways thereafter, so that all higher
-orders have one shift. With P(lambda) the share that meets it again,
+orders have one shift. With P(lambda) the share that meets it again the slope is that of a straight line through P,
+m_2 = P' / P at 600 nm: what single reflection loses at each wavelength is what multiple reflection gets, and the colour
+of all light together is kept.
 
-    P = (integral over theta_out > 90 degrees of J + integral over all others of J (1 - V)) / integral of J,
+    P = integral of D (1 - V) (i . h) dω_h / integral of D (i . h) dω_h,   V = 0 below the horizon
 
-the slope is that of a straight line through P, m_2 = P' / P at 600 nm: what single reflection loses at each wavelength
-is what multiple reflection gets, and the colour of all light together is kept. J is the radiant intensity of the
-Kirchhoff approximation, (|q|^2 / q_z)^2 |I|^2 / (4 cos_i lambda^2), which goes on below the horizon, where light leads
-from a steep facet down to its neighbour. Only the plane of incidence is computed; the integrals take J as the same on
-rings around the mirror direction, and end `_GRAZING` before the facets that the light just grazes.
+D is what the Kirchhoff approximation has in place of a distribution of normals h, (|q|^2 / q_z)^2 |I|^2 / lambda^2 but
+for a constant; it goes on below the horizon, where a steep facet sends light down to its neighbour. Only the plane of
+incidence is computed: out of it, at the azimuth psi of h, D is taken as (1 + cos psi) / 2 of that at the same angle
+before the normal and (1 - cos psi) / 2 of that behind it. V out of the plane is taken from the same zenith angle in it.
 """
 
 from dataclasses import dataclass, fields
@@ -48,6 +49,9 @@ _OUTERMOST = 89.9 - APERTURE / 2
 _GRAZING = 8.0
 """Degrees; a facet that the light grazes sends it straight on, where the window's own lobe is."""
 
+_TILTS, _SPOKES = np.arange(0.25, 60, 0.5), 36
+"""Angles of normals to the vertical, degrees, and number of azimuths on one side of the plane."""
+
 _NONE = 1e-9
 """Share of the light that counts as none."""
 
@@ -68,16 +72,19 @@ class Multiple:
     """Largest share of the rays, of all incident angles, that left a finite patch through its side."""
 
 
-def lowest_kz(setup: Setup) -> float:
-    """kz down to which the average over a patch is needed for P, 1/um."""
-    longest = setup.wavelengths[-1:]
-    return min(float(_vectors(angle, _around(angle), longest)[1].min()) for angle in np.unique(setup.theta_in))
+def kz_reach(setup: Setup) -> tuple[float, float]:
+    """Smallest and largest kz for which the average over a patch is needed for P, 1/um."""
+    ends = setup.wavelengths[[0, -1]]
+    kz = np.stack(
+        [_vectors(angle, _seen_from(angle, side), ends)[1] for angle in np.unique(setup.theta_in) for side in (1, -1)]
+    )
+    return float(kz.min()), float(kz.max())
 
 
 def multiply_reflected(field: HeightField, mean: Averaged, setup: Setup, seed: int, rays: int = RAYS) -> Multiple:
     """Trace `rays` on `field` for each incident angle of `setup`, see the module.
 
-    `mean` is the patch as waves see it, down to `lowest_kz`. Raises as `simulators.rays.virtual_scan`.
+    `mean` is the patch as waves see it, within `kz_reach`. Raises as `simulators.rays.virtual_scan`.
     """
     angles = np.unique(setup.theta_in)
     leaves, brdf = np.ones(setup.theta_in.size), np.empty((setup.theta_in.size, setup.wavelengths.size))
@@ -139,21 +146,39 @@ def _leaves(field: HeightField, theta_in: float, rays: int, seed: int) -> tuple[
 
 def _again(mean: Averaged, setup: Setup, theta_in: float, wedges: FloatArray, share: FloatArray) -> FloatArray:
     """[wavelengths] P of one incident angle, from V in `wedges`."""
-    theta_out = _around(theta_in)
-    kx, kz = _vectors(theta_in, theta_out, setup.wavelengths)
-    sizes = setup.coherence.size(setup.wavelengths)
-    square = np.stack(
-        [mean.spectrum.mean_square(kx[:, i], kz[:, i], float(size)) for i, size in enumerate(sizes)], axis=1
+    before, behind = (_normals(mean, setup, theta_in, side) for side in (1, -1))
+    psi = np.radians(180 * (np.arange(_SPOKES) + 0.5) / _SPOKES)
+    theta, tilt = np.radians(theta_in), np.radians(_TILTS)[:, None]
+    cos_d = np.cos(theta) * np.cos(tilt) - np.sin(theta) * np.sin(tilt) * np.cos(psi)
+    x, z = 2 * cos_d * np.sin(tilt) * np.cos(psi) + np.sin(theta), 2 * cos_d * np.cos(tilt) - np.cos(theta)
+    zenith = np.copysign(np.degrees(np.arccos(np.clip(z, -1, 1))), x)
+    meets = np.where(z > 0, 1 - np.interp(zenith, wedges, share), 1.0)
+    weight = np.sin(tilt) * np.maximum(cos_d, 0)
+    known = (theta_in + 2 * _TILTS <= _end(theta_in))[:, None]
+    forward = np.where(known, (1 + np.cos(psi)) / 2, 0.0)
+    met, whole = (
+        (of * forward).sum(axis=1) @ before + (of * (1 - forward)).sum(axis=1) @ behind
+        for of in (weight * meets, weight)
     )
-    intensity = ((kx**2 + kz**2) / kz) ** 2 * square  # up to a factor of the incident angle
-    ring = np.abs(np.sin(np.radians(theta_out - theta_in)))
-    leaves = np.where(theta_out < 90, np.interp(theta_out, wedges, share), 0.0)
-    return np.asarray((ring * (1 - leaves)) @ intensity / (ring @ intensity))
+    return np.asarray(met / whole)
 
 
-def _around(theta_in: float) -> FloatArray:
-    """Reflected angles, below the horizon too, in degrees."""
-    return np.arange(-89.5, 180 - theta_in - _GRAZING, 1.0)
+def _normals(mean: Averaged, setup: Setup, theta_in: float, side: int) -> FloatArray:
+    """[tilts, wavelengths] D, up to a factor, of normals tilted towards (1) or from (-1) the mirror's side."""
+    kx, kz = _vectors(theta_in, _seen_from(theta_in, side), setup.wavelengths)
+    sizes = setup.coherence.size(setup.wavelengths)
+    square = [mean.spectrum.mean_square(kx[:, i], kz[:, i], float(size)) for i, size in enumerate(sizes)]
+    return np.asarray(((kx**2 + kz**2) / kz) ** 2 * np.stack(square, axis=1))
+
+
+def _seen_from(theta_in: float, side: int) -> FloatArray:
+    """[tilts] where such normals send the light, below the horizon too, degrees; no further than `_end`."""
+    return np.clip(theta_in + 2 * side * _TILTS, -_end(theta_in), _end(theta_in))
+
+
+def _end(theta_in: float) -> float:
+    """Degrees in the plane, short of the facets that the light grazes."""
+    return 180 - theta_in - _GRAZING
 
 
 def _vectors(theta_in: float, theta_out: FloatArray, wavelengths: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -5,6 +5,7 @@ forgotten, and through a window twice as wide. All changes are those of the mean
 """
 
 from dataclasses import dataclass, replace
+from math import isnan
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from goniometer.uncertainty import combined
 from simulators.computed import PRECISION, Computed, computed_dataset
 from simulators.heights import HeightField, UnfitTopography, every_second
 from simulators.sampling import refined
-from simulators.wave_scan import MOST_POINTS, Setup, average, seen
+from simulators.wave_scan import DARK, MOST_POINTS, Setup, average, seen
 
 STUDIED = 2
 """Patches that are computed again."""
@@ -56,7 +57,9 @@ class Figure:
     def converged(self, change: str) -> bool | None:
         """Whether `change` leaves the figure as it is."""
         found = self.changes[change]
-        return None if found is None else abs(found) < (CONVERGED if self.what == "f" else CONVERGED_SLOPE)
+        return (
+            None if found is None or isnan(found) else abs(found) < (CONVERGED if self.what == "f" else CONVERGED_SLOPE)
+        )
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,14 @@ def _slopes(setup: Setup, brdf: FloatArray, points: list[int]) -> FloatArray:
     some = brdf[points]
     none = np.zeros_like(some)
     alike = Computed(
-        "", setup.theta_in[points], setup.theta_out[points], setup.wavelengths, some, none, PRECISION * some, 0.0, {}
+        "",
+        setup.theta_in[points],
+        setup.theta_out[points],
+        setup.wavelengths,
+        some,
+        none,
+        np.maximum(PRECISION * some, DARK),
+        0.0,
+        {},
     )
     return local_fit(computed_dataset(alike), setup.conductor, fresnel=setup.conductor is not None).slope

@@ -35,6 +35,9 @@ FEWEST = 4
 MOST_POINTS = 32_000_000
 """Points up to which a patch is refined; its computation takes some gigabytes then."""
 
+DARK = 1e-12
+"""Error that the transform leaves in directions that should be dark, 1/sr, see `simulators.power_spectrum`."""
+
 Make = Callable[[], HeightField]
 """Makes a patch, in whatever process it is called."""
 
@@ -140,12 +143,12 @@ def fine_enough(field: HeightField, setup: Setup) -> tuple[HeightField, int, Sam
     return fine, times, found
 
 
-def average(field: HeightField, setup: Setup, lowest: float | None = None) -> Averaged:
-    """Of `field` as it is sampled, for `setup` and, unless None, for kz down to `lowest`, 1/um."""
+def average(field: HeightField, setup: Setup, reach: tuple[float, float] | None = None) -> Averaged:
+    """Of `field` as it is sampled, for `setup` and for kz between the two of `reach`, 1/um, where given."""
     vectors = scattering_vectors(setup.theta_in, setup.theta_out, setup.wavelengths)
     window = float(setup.coherence.size(setup.wavelengths).min())
-    kz_min, kz_max = float(vectors[1].min()), float(vectors[1].max())
-    spectrum = power_spectrum(field, window, kz_min if lowest is None else min(lowest, kz_min), kz_max)
+    kz = np.append(vectors[1], reach or ())
+    spectrum = power_spectrum(field, window, float(kz.min()), float(kz.max()))
     return Averaged(spectrum, setup.coherence, sampling(field, *vectors, window))
 
 
@@ -182,7 +185,7 @@ def spread(brdf: FloatArray, wavelengths: FloatArray) -> Spread:
     factor = 1 / sqrt(count * (count - 3))
     of_level, of_tilt = (factor * np.sqrt((each**2).sum(axis=0))[:, None] for each in (level, tilt))
     of_rest = factor * np.sqrt((rest**2).mean(axis=2).sum(axis=0) / free)[:, None]
-    return Spread(mean, mean * of_level, mean * of_tilt * place, mean * of_rest)
+    return Spread(mean, mean * of_level, mean * of_tilt * place, np.hypot(mean * of_rest, DARK))
 
 
 def _synthesised(what: str, size: int | None, pitch_um: float | None, seed: int, micro: bool) -> HeightField:

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from analysis.models import LAMBDA_N
 from drivers.arrays import FloatArray
 from simulators.computed import Computed
 from simulators.multiple_reflection import (
     Multiple,
     combined,
-    lowest_kz,
+    kz_reach,
     mean_of,
     multiply_reflected,
     shift_of_multiple,
@@ -44,6 +45,10 @@ class MultiplePart:
     """[points, wavelengths] the part itself, mean over the patches, 1/sr."""
     lost: float
     """Largest share of the rays that left a finite patch through its side."""
+
+    def at_600(self, wavelengths: FloatArray) -> FloatArray:
+        """[incident angles] `again` at the one of `wavelengths` that is nearest to 600 nm."""
+        return np.asarray(self.again[:, np.argmin(np.abs(wavelengths - LAMBDA_N))])
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ def equivalent_aperture(s_um: float) -> float:
 
 def _patch(make: Make, smooth: Make, setup: Setup, seed: int | None, symmetric: bool) -> _Patch:
     fine, times, fineness = fine_enough(make(), setup)
-    mean = average(fine, setup, None if seed is None else lowest_kz(setup))
+    mean = average(fine, setup, None if seed is None else kz_reach(setup))
     multiple = None if seed is None else multiply_reflected(smooth(), mean, setup, seed)
     return _Patch(seen(mean, setup, symmetric=symmetric), times, fineness, multiple)
 
