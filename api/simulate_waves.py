@@ -60,7 +60,7 @@ def waves_command(
     pitch: Step = None,
     patches: Annotated[
         int, typer.Option(min=FEWEST, max=1000, help="Independent patches: other seeds, or tiles of a measured map.")
-    ] = 16,
+    ] = 12,
     seed: Seed = 1,
     micro: Micro = False,
     kernel: Annotated[Kernel, typer.Option(help="How the BRDF follows from the diffracted light.")] = (

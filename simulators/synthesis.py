@@ -34,6 +34,9 @@ _MET, _CLOSE, _TRIES, _PATIENT = 1e-4, 0.02, 30, 6
 """How nearly the wanted roughness is met, and the coverage, in how many steps at most, and after how many less nearly
 the coverage."""
 
+_FINE = 1024
+"""Points along a side above which the depth is searched on a coarser grid first."""
+
 
 @dataclass(frozen=True)
 class Blasted:
@@ -72,6 +75,9 @@ def sandblasted(
     # A dent of depth d has the area pi (2 R d - d^2), here averaged over radii and depths.
     mean, mean_square = (1 + _SHALLOWEST) / 2, (1 + _SHALLOWEST + _SHALLOWEST**2) / 3
     depth, number = 3.5 * rms_um, 0
+    if size > _FINE:  # most of the search is cheaper on a coarse grid
+        coarse = sandblasted(abrasive_um, rms_um, coverage, size // 4, pitch_um * size / (size // 4), seed)
+        depth, number = coarse.depth_um, coarse.dents
     for tried in range(_TRIES):
         if depth > radii[0]:
             break

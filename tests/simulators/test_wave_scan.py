@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,10 +31,10 @@ def rough(seed: int, size: int = 96, pitch_um: float = 0.25) -> HeightField:
     return gaussian(0.3, gaussian_correlation(3.0), size, pitch_um, seed)
 
 
-def simulated(fields: list[HeightField], setup: Setup) -> WaveSimulation:
+def simulated(fields: list[HeightField], setup: Setup, **multiple: Any) -> WaveSimulation:
     make = tuple(partial(_give, field) for field in fields)
     with ThreadPoolExecutor(1) as executor:
-        return simulate(Patches("a surface", {}, make, make, symmetric=False), setup, executor)
+        return simulate(Patches("a surface", {}, make, make, symmetric=False), setup, executor, **multiple)
 
 
 def _give(field: HeightField) -> HeightField:
@@ -155,3 +156,21 @@ def test_waves_meet_a_smooth_surface_again_about_as_often_as_rays() -> None:
     assert (by_rays > 0.02).all()
     assert by_waves[:, 3] == pytest.approx(by_rays, rel=0.5)
     assert np.abs(shift_of_multiple(by_waves, WAVELENGTHS)).max() < 0.6  # geometric optics has no colour
+
+
+def test_only_light_that_is_reflected_again_takes_the_shift_that_is_given_for_it() -> None:
+    theta_out = np.array([20.0, 60, 80])
+    setup = Setup(np.full(3, 60.0), theta_out, WAVELENGTHS, Coherence(2.0), Kernel.RECIPROCAL, None)
+    fields = [gaussian(1.2, gaussian_correlation(6.0), 96, 0.5, seed) for seed in range(4)]
+    none, one = (simulated(fields, setup, multiple_seed=1, multiple_shift=shift) for shift in (0.0, 1.0))
+    assert none.multiple is not None
+    assert none.multiple.brdf[1:].min() > 0.01
+    x = 1e-3 * (WAVELENGTHS - 600)
+    assert one.computed.brdf - none.computed.brdf == pytest.approx(none.multiple.brdf * x, abs=1e-9)
+    assert one.computed.lineage["multiple_shift_per_um"] == [1.0]
+    derived = simulated(fields, setup, multiple_seed=1)
+    assert derived.multiple is not None
+    assert derived.multiple.derived
+    share = derived.multiple.again[0] / derived.multiple.at_600(WAVELENGTHS)[0]
+    # the straight line that the slope comes from is what the share of the light does
+    assert np.polyval(np.polyfit(x, share, 1), x)[-1] - 1 == pytest.approx(0.15 * derived.multiple.slope[0], abs=0.03)
