@@ -23,10 +23,22 @@ _KERNELS = {
 
 _LEFT_OUT = (
     "Light is a scalar wave; polarisation is averaged, with the Fresnel reflectance at the half vector.",
-    "Facets neither shade nor hide each other, which brightens grazing directions.",
+    "No facet lies in the shadow of another, which brightens grazing directions.",
     "Structures narrower than the wavelength are taken as facets of their own slope, though no wave resolves them.",
     "The plane of incidence is computed, and nothing outside it.",
 )
+
+
+_LEAST_SIGNAL = 10.0
+"""Signal over standard error of a spectrum that is shown."""
+
+_HEADS = {
+    "half the step": "½ step",
+    "twice the step": "2 × step",
+    "every second height": "½ heights",
+    "twice the window": "2 × window",
+    "half the patches": "½ patches",
+}
 
 
 def page_body(analysis: SampleAnalysis, setup: Setup, found: WaveSimulation) -> list[str]:
@@ -94,7 +106,10 @@ def _colours(analysis: SampleAnalysis) -> str:
         )
     else:
         parts.append("<p>A map of colours needs wavelengths from 400 to 700 nm.</p>")
-    curves = [figures.distributions(dataset, "distributions"), figures.spectra(dataset, analysis.local, "spectra")]
+    curves = [
+        figures.distributions(dataset, "distributions"),
+        figures.spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
+    ]
     parts.append(
         figure(
             curves,
@@ -149,16 +164,17 @@ def _multiple(setup: Setup, part: MultiplePart) -> str:
 def _converged(found: WaveSimulation) -> str:
     """Table of the published figures, and the summary of all directions."""
     study = found.convergence
-    head = "".join(f'<th class="number">{name}</th>' for name in study.median)
+    head = "".join(f'<th class="number">{_HEADS[name]}</th>' for name in study.median)
     rows = "".join(_row(each) for each in study.figures)
     return (
         "<h2>Is it converged?</h2>"
         f"<p>{escape(found.sampling.message)} {study.patches} patches were computed again, with the step of their "
-        "heights halved and doubled, with every second height forgotten and splines in its place, and through a window "
-        "twice as wide, which resolves finer and shows more speckle. The last column takes every second patch alone. "
+        "heights halved and doubled, with every second height of the topography forgotten and splines in its place, "
+        "and through a window twice as wide, which resolves finer and shows more speckle. The last column takes every "
+        "second patch alone. Median and 95 of 100 are over all directions that are not nearly dark. "
         f"A reflectance counts as converged when it changes by less than {100 * CONVERGED:g} %, a slope by less than "
         f"{CONVERGED_SLOPE:g} 1/µm, which changes a spectrum by as much at 200 nm from 600 nm.</p>"
-        '<div class="wide"><table><thead><tr><th></th><th>θ in → θ out</th><th class="number">value</th>'
+        '<div class="wide"><table><thead><tr><th></th><th class="number">θ in → θ out</th><th class="number">value</th>'
         f"{head}</tr></thead>"
         f"<tbody>{_summary(study)}{rows}</tbody>"
         "<caption>Changes of f(600 nm) in per cent, of the slope m in 1/µm; ✓ converged, ✗ not yet, – not computed. "
@@ -169,11 +185,11 @@ def _converged(found: WaveSimulation) -> str:
 
 def _summary(study: Convergence) -> str:
     rows = ""
-    for name, values in (("half of all directions below", study.median), ("95 of 100 below", study.p95)):
+    for name, values in (("median", study.median), ("95 of 100 below", study.p95)):
         cells = "".join(
             _cell(_percent(value), None if value is None else value < CONVERGED) for value in values.values()
         )
-        rows += f"<tr><td>f</td><td>{name}</td><td></td>{cells}</tr>"
+        rows += f'<tr><td>f</td><td class="number">{name}</td><td></td>{cells}</tr>'
     return rows
 
 
