@@ -234,15 +234,17 @@ def _map(
 # --- curves (Figs. 3, 6, 9) ------------------------------------------------------------------------------------
 
 
-def distributions(dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None) -> str:
+def distributions(
+    dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None, *, dense: bool = False
+) -> str:
     """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
 
     Dots are measured values, lines are read between them (`goniometer.between`), straight where the points are too few
-    for that. Bands are expanded uncertainties of both. Values that are not positive are left out; gaps are the blocked
-    sector, dashed where it is `filled`.
+    for that, or so `dense` that nothing need be read between. Bands are expanded uncertainties of both. Values that are
+    not positive are left out; gaps are the blocked sector, dashed where it is `filled`.
     """
     f, u = at_wavelength(dataset, wavelength)
-    enough = np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
+    enough = not dense and np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
     read = _between(dataset, wavelength) if enough else {}
     with style():
         figure, axes = new_axes(430, 300, right=62, top=10 if filled is None else 34)

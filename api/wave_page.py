@@ -107,7 +107,7 @@ def _colours(analysis: SampleAnalysis) -> str:
     else:
         parts.append("<p>A map of colours needs wavelengths from 400 to 700 nm.</p>")
     curves = [
-        figures.distributions(dataset, "distributions"),
+        figures.distributions(dataset, "distributions", dense=True),
         figures.spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
     ]
     parts.append(
