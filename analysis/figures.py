@@ -240,15 +240,17 @@ def _map(
 # --- curves (Figs. 3, 6, 9) ------------------------------------------------------------------------------------
 
 
-def distributions(dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None) -> str:
+def distributions(
+    dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None, *, dense: bool = False
+) -> str:
     """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
 
     Dots are measured values, lines are read between them (`goniometer.between`), straight where the points are too few
-    for that. Bands are expanded uncertainties of both. Values that are not positive are left out; gaps are a sector
-    that nobody saw, dashed where it is `filled`.
+    for that, or so `dense` that nothing need be read between. Bands are expanded uncertainties of both. Values that are
+    not positive are left out; gaps are a sector that nobody saw, dashed where it is `filled`.
     """
     f, u = at_wavelength(dataset, wavelength)
-    enough = np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
+    enough = not dense and np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
     read = _between(dataset, wavelength) if enough else {}
     with style():
         figure, axes = new_axes(430, 300, right=62, top=10 if filled is None else 34)
@@ -298,16 +300,23 @@ def _at_wavelengths(dataset: Dataset, wavelength: float) -> Dataset:
     return replace(dataset, wavelengths=dataset.wavelengths[some], brdf=dataset.brdf[:, some], sources=sources)
 
 
-def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0, count: int = 7) -> str:
+def spectra(
+    dataset: Dataset,
+    local: LocalFit,
+    name: str,
+    theta_in: float = 40.0,
+    count: int = 7,
+    least_signal: float = _LEAST_SIGNAL,
+) -> str:
     """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
 
     Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with the expanded
     uncertainty of its counts (an error that all wavelengths share does not change their ratio), lines the local fit.
-    Spectra that are unreliable or weaker than a hundred standard uncertainties of their counts are not chosen.
+    Spectra that are unreliable or weaker than `least_signal` standard uncertainties of their counts are not chosen.
     """
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
-    clear = clear_of_noise(dataset, local.lambda_n, _LEAST_SIGNAL)
+    clear = clear_of_noise(dataset, local.lambda_n, least_signal)
     usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
     usable = usable[np.argsort(dataset.theta_out[usable])]
     directions = dataset.theta_out[usable]

@@ -36,15 +36,20 @@ class Computed:
     """Full angle over which every value is an average, degrees; 0 for none."""
     lineage: dict[str, object]
     """What was simulated and how; `simulated` is one phrase for lists, e.g. "rays on sample-1"."""
+    u_tilt: FloatArray | None = None
+    """[points, wavelengths] signed standard error that all wavelengths of a point share, one end of the spectrum being
+    too bright where the other is too dark, 1/sr: what makes a slope uncertain. None for none."""
 
 
 def computed_dataset(computed: Computed) -> Dataset:
     """The dataset of a simulation; it belongs into a database as one of no scan."""
     own = np.maximum(computed.u_spectral, PRECISION * np.abs(computed.brdf))
-    sources = (
+    sources: tuple[ErrorSource, ...] = (
         ErrorSource("random: of each wavelength", "random", own, None, shared_by_wavelengths=False),
         ErrorSource("random: of all wavelengths", "random", computed.u_level, None, shared_by_wavelengths=True),
     )
+    if computed.u_tilt is not None:
+        sources += (ErrorSource("random: of the tilt", "random", computed.u_tilt, None, shared_by_wavelengths=True),)
     dataset = Dataset(
         sample=computed.sample,
         theta_in=computed.theta_in,

@@ -30,8 +30,12 @@ _SHALLOWEST = 0.5
 _FULL, _SPARSE = 3.0, 1.0
 """Coverage of the paper's samples, and of its Sample 8."""
 
-_MET, _CLOSE, _TRIES = 1e-4, 0.02, 30
-"""How nearly the wanted roughness is met, and the coverage, and in how many steps at most."""
+_MET, _CLOSE, _TRIES, _PATIENT = 1e-4, 0.02, 30, 6
+"""How nearly the wanted roughness is met, and the coverage, in how many steps at most, and after how many less nearly
+the coverage."""
+
+_FINE = 1024
+"""Points along a side above which the depth is searched on a coarser grid first."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,9 @@ def sandblasted(
     """A square patch of `size` x `size` points with the root mean square height `rms_um`.
 
     `abrasive_um` are the smallest and the largest diameter of the beads (Table 1), all in between equally frequent.
-    `coverage` is the area of all dents over that of the patch, kept within 2 %: exp(-coverage) of it stays bare. Depths
-    are spread evenly from half the largest to the largest, which is searched until the roughness is met. Raises
+    `coverage` is the area of all dents over that of the patch, kept within 2 % (on a small patch within some more):
+    exp(-coverage) of it stays bare. Depths are spread evenly from half the largest to the largest, which is searched
+    until the roughness is met. Raises
     `UnfitTopography` if such beads cannot make the surface so rough, or if the patch is too small for them.
     """
     radii = abrasive_um[0] / 2, abrasive_um[1] / 2
@@ -70,11 +75,15 @@ def sandblasted(
     # A dent of depth d has the area pi (2 R d - d^2), here averaged over radii and depths.
     mean, mean_square = (1 + _SHALLOWEST) / 2, (1 + _SHALLOWEST + _SHALLOWEST**2) / 3
     depth, number = 3.5 * rms_um, 0
-    for _ in range(_TRIES):
+    if size > _FINE:  # most of the search is cheaper on a coarse grid
+        coarse = sandblasted(abrasive_um, rms_um, coverage, size // 4, pitch_um * size / (size // 4), seed)
+        depth, number = coarse.depth_um, coarse.dents
+    for tried in range(_TRIES):
         if depth > radii[0]:
             break
         dents = coverage * (size * pitch_um) ** 2 / (np.pi * (sum(radii) * mean * depth - mean_square * depth**2))
-        if abs(number / dents - 1) > _CLOSE:  # else it stays, so that the roughness follows the depth without jumps
+        # else it stays, so that the roughness follows the depth without jumps; on a small patch these may have no end
+        if abs(number / dents - 1) > _CLOSE * max(1, tried - _PATIENT):
             number = round(dents)
         heights = _dents(np.random.default_rng(seed).random((number, 4)), radii, depth, size, pitch_um)
         reached = float(heights.std())
