@@ -23,7 +23,7 @@ from api.terminal import screen
 from api.wave_page import page_body
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
-from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
+from goniometer.geometry import LARGEST_ANGLE
 from simulators.computed import computed_dataset
 from simulators.diffraction import Coherence, seen_through
 from simulators.wave_convergence import CONVERGED, Convergence
@@ -153,17 +153,14 @@ def _grid(option: str, text: str) -> FloatArray:
 
 
 def _directions(incident: FloatArray, outgoing: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """theta_in and theta_out [points], degrees, without the blocked ones."""
+    """theta_in and theta_out [points], degrees; no detector blocks a simulation."""
     if incident[0] < 0 or incident[-1] > LARGEST_ANGLE or np.abs(outgoing).max() > LARGEST_ANGLE:
         raise InputError(
             f"Incident angles lie between 0 and {LARGEST_ANGLE:g} degrees, reflected ones between "
             f"{-LARGEST_ANGLE:g} and {LARGEST_ANGLE:g}."
         )
     theta_in, theta_out = (each.ravel() for each in np.meshgrid(incident, outgoing, indexing="ij"))
-    free = np.abs(theta_in + theta_out) >= BLOCKED_HALF_WIDTH
-    if not free.any():
-        raise InputError("All of these directions lie on the way back to the lamp; name others with --outgoing.")
-    return theta_in[free], theta_out[free]
+    return theta_in, theta_out
 
 
 def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
