@@ -24,6 +24,7 @@ from api.cli_characterise import register as add_characterisations
 from api.cli_import import register as add_import
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
+from api.cli_tradeoff import register as add_tradeoff
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
@@ -187,15 +188,19 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
         entry["datasets"] = list(store.datasets(entry["id"]))
-    lineages = {i: store.lineage(i) for i, scan_id in store.datasets().items() if scan_id is None}
-    samples = store.dataset_samples()
-    sources = {"imported": "file", "simulated": "what"}
-    of_no_scan = [(i, source, told[source]) for i, told in lineages.items() for source in sources if source in told]
+    alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
+    samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
+    imported, simulated = ([i for i in alone if origin in lineages[i]] for origin in ("imported", "simulated"))
     if as_json:
-        others: dict[str, list[dict[str, object]]] = {source: [] for source in sources}
-        for i, source, what in of_no_scan:
-            others[source].append({"dataset": i, "sample": samples[i], sources[source]: what})
-        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found} | others)
+        emit(
+            {
+                "database": str(database),
+                "campaigns": store.campaigns(),
+                "scans": found,
+                "imported": [{"dataset": i, "sample": samples[i], "file": lineages[i]["imported"]} for i in imported],
+                "simulated": [{"dataset": i, "sample": samples[i], "how": lineages[i]["simulated"]} for i in simulated],
+            }
+        )
         return
     out = Console()
     names = store.campaigns()
@@ -208,8 +213,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for i, source, what in of_no_scan:
-        out.print(f"{source}: {samples[i]}: {what}, dataset {i}", markup=False, highlight=False)
+    for dataset_id in alone:
+        origin = "imported" if dataset_id in imported else "simulated"
+        line = f"{origin}: {samples[dataset_id]}: {lineages[dataset_id][origin]}, dataset {dataset_id}"
+        out.print(line, markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:
@@ -279,6 +286,7 @@ def export(
 add_characterisations(app)
 add_import(app)
 add_quality(app)
+add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 

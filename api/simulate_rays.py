@@ -36,6 +36,9 @@ _PATCHES = 4
 _APART = 1000
 """Between the seeds of patches: each may use some that follow its own."""
 
+_MOST_ANGLES = 1000
+"""Of the lamp or of the detector."""
+
 _CHECKED = 3
 """Incident angles at which the pitch is doubled to see what it does."""
 
@@ -47,8 +50,8 @@ def register(app: typer.Typer) -> None:
 
 def rays_command(
     surface: SurfaceName,
-    size: Size = 1024,
-    pitch: Pitch = 0.5,
+    size: Size = None,
+    pitch: Pitch = None,
     seed: Seed = 1,
     micro: Micro = False,
     patches: Annotated[
@@ -142,27 +145,28 @@ def _angles(text: str, option: str) -> FloatArray:
     try:
         if ":" in text:
             first, last, step = map(float, text.split(":"))
-            angles = first + step * np.arange(int((last - first) / step + 1e-9) + 1)
+            steps = int((last - first) / step + 1e-9)
+            angles = first + step * np.arange(steps + 1 if steps < _MOST_ANGLES else 0)
         else:
             angles = np.unique([float(each) for each in text.split(",")])
     except (ValueError, ZeroDivisionError, OverflowError):
         angles = np.empty(0)
     if not angles.size or not np.isfinite(angles).all() or np.any(np.diff(angles) <= 0):
-        raise InputError(f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, or angles in degrees, e.g. 0,30.")
+        raise InputError(
+            f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, of at most {_MOST_ANGLES} angles, or list "
+            f"angles in degrees, e.g. 0,30."
+        )
     return np.asarray(angles, dtype=float)
 
 
 def _patches(name: str, wanted: int | None, make: Callable[[int], Topography]) -> list[Topography]:
-    """As many patches as are wanted; a surface that is the same whatever the seed is one patch, and no more."""
-    made = [make(0)]
-    for number in range(1, wanted or _PATCHES):
-        another = make(number)
-        if np.array_equal(another.field.heights_um, made[0].field.heights_um):
-            if wanted is None:
-                break
-            raise InputError(f"The surface {name} is a single patch and not {wanted}; leave out --patches.")
-        made.append(another)
-    return made
+    """As many patches as are wanted; a measured map, which has no seed, is one patch and no more."""
+    first = make(0)
+    if "seed" not in first.origin:
+        if wanted is not None:
+            raise InputError(f"The map in {name} is one patch and not {wanted}; leave out --patches.")
+        return [first]
+    return [first, *(make(number) for number in range(1, wanted or _PATCHES))]
 
 
 def _measured(made: list[Topography], asked: Goniometer) -> tuple[RayScan, tuple[Change, ...]]:

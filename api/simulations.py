@@ -10,6 +10,7 @@ from analysis.page import page
 from api.derive import Export, make_folder, write_text
 from goniometer.store import Store
 from simulators.computed import Computed, computed_dataset
+from simulators.topography import PITCH_UM, SIZE
 
 SurfaceName = Annotated[
     str,
@@ -18,8 +19,11 @@ SurfaceName = Annotated[
         show_default=False,
     ),
 ]
-Size = Annotated[int, typer.Option(min=16, max=16384, help="Points along each side of a synthesised surface.")]
-Pitch = Annotated[float, typer.Option(min=0.01, help="Distance of its points, um.")]
+Size = Annotated[
+    int | None,
+    typer.Option(min=16, max=16384, help=f"Points along each side of a synthesised surface, usually {SIZE}."),
+]
+Pitch = Annotated[float | None, typer.Option(min=0.01, help=f"Distance of its points, um, usually {PITCH_UM:g}.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the surface and of all that is random.")]
 Micro = Annotated[bool, typer.Option("--micro", help="Put 40 nm of roughness below the wavelength on it.")]
 Page = Annotated[Path | None, typer.Option("--page", help="HTML page with the figures to write.")]

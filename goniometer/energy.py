@@ -29,6 +29,7 @@ from goniometer.dataset import Dataset
 from goniometer.fill import Filled, fill
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.reciprocity import SAME_INCIDENCE
+from goniometer.sector import is_hidden
 
 BAND = 25.0
 """Smallest width of the bands of wavelengths, nm."""
@@ -120,8 +121,9 @@ class _Nodes(NamedTuple):
 
 
 def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled | None:
-    """The blocked directions of incident angles whose mirror direction is one of them; None where nothing fills any."""
+    """The hidden directions of incident angles whose mirror direction is one of them; None where nothing fills any."""
     incident = np.unique(dataset.theta_in[2 * dataset.theta_in < BLOCKED_HALF_WIDTH].round(1))
+    incident = incident[[is_hidden(dataset, angle) for angle in incident.tolist()]]
     known = np.isfinite(mean.values).all(axis=1)
     if not incident.size or np.count_nonzero(known) < FEWEST:
         return None
@@ -143,17 +145,11 @@ def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled
 
 
 def _nodes(dataset: Dataset, mean: Averages, members: NDArray[np.intp], filled: Filled | None) -> _Nodes:
-    """The measured directions `members` of a slice, and those that are filled and known well enough.
-
-    Nothing is filled where directions were measured after all, as in a simulation, whose detector blocks no light.
-    """
+    """The measured directions `members` of a slice, and those that are filled and known well enough."""
     theta_out, f = dataset.theta_out[members], mean.values[members]
     u, measured = np.zeros(f.shape), np.ones(members.size, dtype=bool)
     if filled is not None:
         mine = filled.tells & (np.abs(filled.theta_in - dataset.theta_in[members].mean()) < SAME_INCIDENCE)
-        gaps = np.diff(theta_out, prepend=-np.inf, append=np.inf)
-        in_gap = gaps[np.searchsorted(theta_out, filled.theta_out)] > BLOCKED_HALF_WIDTH
-        mine &= in_gap & ~np.isclose(filled.theta_out[:, None], theta_out, rtol=0, atol=1e-3).any(axis=1)
         theta_out = np.append(theta_out, filled.theta_out[mine])
         f, u = np.vstack([f, filled.brdf[mine]]), np.vstack([u, filled.u[mine]])
         measured = np.append(measured, np.zeros(np.count_nonzero(mine), dtype=bool))

@@ -28,7 +28,7 @@ def test_a_scan_is_stored_drawn_and_fitted_like_a_measurement(cli: Any, tmp_path
     assert "http" not in text.replace("http://www.w3.org", "")
     listed = json.loads(cli("status", "--json", cwd=tmp_path).stdout)
     assert listed["simulated"] == [
-        {"dataset": 1, "sample": "gaussian:2.4:9 (rays)", "what": "rays on gaussian:2.4:9"},
+        {"dataset": 1, "sample": "gaussian:2.4:9 (rays)", "how": "rays on gaussian:2.4:9"},
     ]
     fitted = cli("fit", "gaussian:2.4:9 (rays)", "--model", "cook-torrance", "--json", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
