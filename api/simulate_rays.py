@@ -17,7 +17,7 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.products import conductor_name
 from api.ray_page import chapters, chosen
 from api.ray_results import computed, decomposition, lines, warnings
-from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, store_computed, write_page
+from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
@@ -35,9 +35,6 @@ _PATCHES = 4
 
 _APART = 1000
 """Between the seeds of patches: each may use some that follow its own."""
-
-_MOST_ANGLES = 1000
-"""Of the lamp or of the detector."""
 
 _CHECKED = 3
 """Incident angles at which the pitch is doubled to see what it does."""
@@ -78,7 +75,7 @@ def rays_command(
     """Trace rays over a surface: in-plane BRDF by geometric optics, decomposed by the number of reflections."""
     metal = load_conductor(*conductor_name(conductor))
     wavelengths = _covered(metal)
-    theta_in, theta_out = _angles(incident, "--incident"), _angles(outgoing, "--outgoing")
+    theta_in, theta_out = series("--incident", incident), series("--outgoing", outgoing)
     asked = Goniometer(
         theta_in,
         theta_out,
@@ -138,25 +135,6 @@ def _covered(metal: Conductor) -> FloatArray:
             f"traced for {_WAVELENGTHS[0]:g} to {_WAVELENGTHS[-1]:g} nm; name another conductor."
         )
     return np.asarray(found)
-
-
-def _angles(text: str, option: str) -> FloatArray:
-    """Angles, ascending, of "first:last:step" or "a,b,c"; raises `InputError` for another form."""
-    try:
-        if ":" in text:
-            first, last, step = map(float, text.split(":"))
-            steps = int((last - first) / step + 1e-9)
-            angles = first + step * np.arange(steps + 1 if steps < _MOST_ANGLES else 0)
-        else:
-            angles = np.unique([float(each) for each in text.split(",")])
-    except (ValueError, ZeroDivisionError, OverflowError):
-        angles = np.empty(0)
-    if not angles.size or not np.isfinite(angles).all() or np.any(np.diff(angles) <= 0):
-        raise InputError(
-            f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, of at most {_MOST_ANGLES} angles, or list "
-            f"angles in degrees, e.g. 0,30."
-        )
-    return np.asarray(angles, dtype=float)
 
 
 def _patches(name: str, wanted: int | None, make: Callable[[int], Topography]) -> list[Topography]:

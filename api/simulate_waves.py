@@ -18,7 +18,7 @@ from analysis.local_fit import LEAST_WAVELENGTHS
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.derive import end_with_parent
 from api.products import conductor_name
-from api.simulations import Micro, Page, Seed, SurfaceName, store_computed, write_page
+from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
 from api.wave_page import page_body
 from drivers.arrays import FloatArray
@@ -33,9 +33,6 @@ from simulators.waves import Kernel
 
 APERTURE = 1.0
 """Usual full angle of the detector's aperture, degrees."""
-
-MOST_VALUES = 1000
-"""Of one grid of angles or wavelengths."""
 
 Side = Annotated[
     int | None,
@@ -72,7 +69,7 @@ def waves_command(
     coherence: Annotated[
         float | None, typer.Option(help="Width s of the coherence window at 600 nm, um, in place of an aperture.")
     ] = None,
-    incident: Annotated[str, typer.Option(help="Incident angles, degrees, FIRST:LAST:STEP.")] = "0:80:10",
+    incident: Annotated[str, typer.Option(help="Incident angles, degrees, FIRST:LAST:STEP or A,B,C.")] = "0:80:10",
     outgoing: Annotated[str, typer.Option(help="Reflected angles, degrees, likewise.")] = "-85:85:1",
     wavelengths: Annotated[str, typer.Option(help="Wavelengths, nm, likewise.")] = "400:990:10",
     conductor: Annotated[
@@ -96,8 +93,8 @@ def waves_command(
     if multiple_shift is not None and not with_multiple:
         raise InputError("A shift of light that is reflected more than once needs that light: give --with-multiple.")
     metal = load_conductor(*conductor_name(conductor))
-    theta_in, theta_out = _directions(_grid("--incident", incident), _grid("--outgoing", outgoing))
-    nm = _grid("--wavelengths", wavelengths)
+    theta_in, theta_out = _directions(series("--incident", incident), series("--outgoing", outgoing))
+    nm = series("--wavelengths", wavelengths)
     if nm.size < LEAST_WAVELENGTHS or nm[0] <= 0:
         raise InputError(
             f"--wavelengths {wavelengths} makes no spectrum; give at least {LEAST_WAVELENGTHS}, all above zero."
@@ -136,20 +133,6 @@ def waves_command(
         out.print(line, markup=False, highlight=False)
     if written is not None:
         out.print(f"Wrote {written}", markup=False, highlight=False)
-
-
-def _grid(option: str, text: str) -> FloatArray:
-    """Numbers from the first to the last by a step; raises `InputError` for another form."""
-    try:
-        first, last, step = (float(part) for part in text.split(":"))
-        count = round((last - first) / step) + 1 if step > 0 and last >= first else 0
-    except (ValueError, OverflowError):
-        count = 0
-    if not 1 <= count <= MOST_VALUES:
-        raise InputError(
-            f"{option} {text} is no grid; it should read FIRST:LAST:STEP, ascending, with at most {MOST_VALUES} values."
-        )
-    return np.asarray(first + step * np.arange(count), dtype=float)
 
 
 def _directions(incident: FloatArray, outgoing: FloatArray) -> tuple[FloatArray, FloatArray]:
