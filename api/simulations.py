@@ -49,8 +49,8 @@ def series(option: str, text: str) -> FloatArray:
         values = np.empty(0)
     if not values.size or not np.isfinite(values).all() or np.any(np.diff(values) <= 0):
         raise InputError(
-            f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, of at most {MOST_VALUES} values, or list them, "
-            f"e.g. 0,30."
+            f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, of at most {MOST_VALUES} values, or list "
+            f"values, e.g. 0,30."
         )
     return np.asarray(values, dtype=float)
 

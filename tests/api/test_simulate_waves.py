@@ -71,7 +71,7 @@ def test_a_simulation_is_fitted_and_shown_like_a_measurement(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--incident", "0:80"), "--incident 0:80 is no grid"),
+        (("--incident", "0:80"), "--incident 0:80 should read FIRST:LAST:STEP"),
         (("--wavelengths", "400:700:100"), "at least 5"),
         (("--wavelengths", "400:1200:50"), "leads beyond"),
         (("--outgoing", "-90:90:5"), "between -85 and 85"),
