@@ -1,0 +1,44 @@
+"""`goniometer choose`: the simplest model that a scene needs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from analysis.choose_report import choice_body, summary
+from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.choose import choice_content, choose_model
+from api.simulations import write_page
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(name="choose")(choose_command)
+
+
+def choose_command(
+    dataset: DatasetName,
+    scene: Annotated[Path, typer.Option(help="Scene file (YAML).", show_default=False)],
+    tolerance: Annotated[float, typer.Option(min=0.01, help="Largest mean dE00 in the scene.")] = 1.0,
+    dielectric: Annotated[bool, typer.Option("--dielectric", help="Take the ladder of a dielectric.")] = False,
+    page: Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the pictures to write.")] = None,
+    database: DatabaseFile = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """The simplest model whose colours in a scene stay within a tolerance, and why each cheaper one does not do."""
+    store = existing(database)
+    dataset_id = chosen_dataset(store, dataset)
+    found = choose_model(store, dataset_id, scene, tolerance, dielectric=dielectric)
+    sample = store.dataset(dataset_id).sample
+    written = None
+    if page is not None:
+        written = write_page(page, f"The model that {sample} needs", choice_body(found, sample, scene.name)).path
+    if as_json:
+        emit(choice_content(found) | {"dataset": dataset_id, "page": None if written is None else str(written)})
+        return
+    out = Console()
+    for line in summary(found):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+    if written is not None:
+        out.print(f"Wrote {written}", markup=False, highlight=False)
