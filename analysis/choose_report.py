@@ -12,6 +12,7 @@ from analysis.colour import display_encoded
 from analysis.figures import SEQUENCE
 from analysis.page import MODEL_NAMES, bullets, figure
 from analysis.svg import INK, new_axes, style, to_svg
+from analysis.verify import Verification, cheaper
 from drivers.arrays import FloatArray
 
 RUNG_NAMES = MODEL_NAMES | {"lambert": "Lambert", "tinted": "Tinted lobe", "table": "Table of the measurement"}
@@ -31,7 +32,7 @@ def summary(choice: Choice) -> list[str]:
     lines = [_answer(choice)]
     lines += [
         f"Refused: {RUNG_NAMES[judged.rung.name]}, mean dE00 {_spread(judged)}. {judged.why}"
-        for judged in choice.judged[: _place(choice)]
+        for judged in cheaper(choice)
     ]
     lines.append(
         f"{picture.clipped:.0%} of the pixels are brighter than the display and {picture.dark:.0%} are dark; in "
@@ -46,12 +47,6 @@ def summary(choice: Choice) -> list[str]:
     return lines
 
 
-def _place(choice: Choice) -> int:
-    """How many rungs are cheaper than the chosen one; all where none was chosen."""
-    names = [judged.rung.name for judged in choice.judged]
-    return len(names) if choice.chosen is None else names.index(choice.chosen.rung.name)
-
-
 def _answer(choice: Choice) -> str:
     chosen = choice.chosen
     if chosen is None:
@@ -59,12 +54,10 @@ def _answer(choice: Choice) -> str:
         if open_ones:
             return f"Undetermined: no model is certain to meet dE00 {choice.tolerance:g}; {', '.join(open_ones)} may."
         return f"No model meets dE00 {choice.tolerance:g} in this scene."
-    count = chosen.wavelengths.size
-    told = f"{count} wavelengths" if count > 1 else "1 wavelength"
     numbers = f"{chosen.parameters} parameters" if chosen.parameters != 1 else "1 parameter"
     return (
-        f"{RUNG_NAMES[chosen.rung.name]} at {told}, with {numbers}, meets dE00 {choice.tolerance:g}: mean "
-        f"{_spread(chosen)}, 95th percentile {chosen.score.p95:.2f}."
+        f"{RUNG_NAMES[chosen.rung.name]} at {_wavelengths(chosen)}, with {numbers}, meets dE00 {choice.tolerance:g}: "
+        f"mean {_spread(chosen)}, 95th percentile {chosen.score.p95:.2f}."
     )
 
 
@@ -72,7 +65,22 @@ def _spread(judged: Judged) -> str:
     return f"{judged.score.expected:.2f} ({judged.score.low:.2f} to {judged.score.high:.2f})"
 
 
-def choice_body(choice: Choice, sample: str, scene: str) -> list[str]:
+def verified_lines(found: Verification) -> list[str]:
+    """Predicted against rendered colour differences, in sentences."""
+    return [
+        f"Rendered by Mitsuba, {RUNG_NAMES[each.judged.rung.name]} at {_wavelengths(each.judged)} differs by a mean "
+        f"dE00 of {each.mean:.2f} ± {each.u_render:.2f} (k = 1), 95th percentile {each.p95:.2f}; predicted were "
+        f"{each.judged.score.mean:.2f} and {each.judged.score.p95:.2f}."
+        for each in found.models
+    ]
+
+
+def _wavelengths(judged: Judged) -> str:
+    count = judged.wavelengths.size
+    return f"{count} wavelengths" if count > 1 else "1 wavelength"
+
+
+def choice_body(choice: Choice, sample: str, scene: str, rendered: Verification | None) -> list[str]:
     """Pieces of HTML for the page of a choice."""
     answer, *refused, bright, reach = summary(choice)
     kind = "" if choice.chosen is not None else " warn"
@@ -92,6 +100,7 @@ def choice_body(choice: Choice, sample: str, scene: str) -> list[str]:
         ),
         bullets(refused),
         _table(choice),
+        *([] if rendered is None else [_rendered(choice, rendered)]),
         "<h2>What the scene asks for</h2>",
         f"<p>{escape(bright)}</p><p>{escape(reach)}</p>",
     ]
@@ -111,6 +120,19 @@ def pictures(choice: Choice) -> str:
         ]
         caption = "The scene by the measurement and by the chosen model with one exposure, and CIEDE2000 between them."
     return figure(panels, caption, "three")
+
+
+def _rendered(choice: Choice, rendered: Verification) -> str:
+    """The chapter of the rendering."""
+    pair = [
+        _captioned(_rgb(choice, image), words)
+        for image, words in ((rendered.reference, "rendered by the measurement"), (rendered.chosen, "by the model"))
+    ]
+    return (
+        "<h2>Rendered</h2>"
+        + figure(pair, "The same scene and exposure, rendered by Mitsuba with the same random numbers.", "three")
+        + bullets(verified_lines(rendered))
+    )
 
 
 def _captioned(image: FloatArray, words: str) -> str:

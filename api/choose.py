@@ -1,27 +1,44 @@
 """Which model of a dataset a scene needs."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from analysis.brdf_table import reference_table
-from analysis.choose import Choice, Judged, choose
+from analysis.choose import NODES, Choice, Judged, choose
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
 from analysis.ladder import DIELECTRIC_FITS, METAL_FITS
+from analysis.mitsuba_scene import Material, read_mitsuba, trace_mitsuba, write_mitsuba
 from analysis.scene import load_scene
 from analysis.scene_rays import trace
+from analysis.verify import Verification, verify
+from analysis.vertices import Vertices
 from api.products import conductor_name, last_way
 from goniometer.store import Store
 
 
-def choose_model(store: Store, dataset_id: int, scene_file: Path, tolerance: float, *, dielectric: bool) -> Choice:
+@dataclass(frozen=True)
+class Chosen:
+    """A choice, and its rendering."""
+
+    choice: Choice
+    rendered: Verification | None
+    """None where nothing was chosen or rendered."""
+
+
+def choose_model(
+    store: Store, dataset_id: int, scene_file: Path, tolerance: float, *, dielectric: bool, rendering: bool
+) -> Chosen:
     """The simplest model of a dataset whose mean dE00 in a scene stays below `tolerance`.
 
-    Models are fitted with the metal, distribution, weight and engine of the last fit. Raises `InputError` for a scene
-    that is none, `SceneError` for one that shows nothing of the material, and what the fits raise.
+    `scene_file` is one of Mitsuba's (.xml) or of `analysis.scene`. Models are fitted with the metal, distribution,
+    weight and engine of the last fit. Raises `InputError` for a scene that is none, `SceneError` for one that shows
+    nothing of the material, `RenderError` where Mitsuba fails, and what the fits raise.
     """
-    scene = load_scene(scene_file)
+    of_mitsuba = read_mitsuba(scene_file) if scene_file.suffix.lower() == ".xml" else None
+    own = None if of_mitsuba is not None else load_scene(scene_file)
     dataset = store.dataset(dataset_id)
     how = last_way(store, dataset_id)
     metal = load_conductor(*conductor_name(how.conductor))
@@ -30,11 +47,29 @@ def choose_model(store: Store, dataset_id: int, scene_file: Path, tolerance: flo
     fits = fit_models(dataset, local, models, metal, how.engine, how.distribution, how.weight)
     alpha = fits[0].value("alpha")
     reference = reference_table(dataset, alpha, metal=not dielectric)
-    return choose(lambda samples: trace(scene, alpha, samples), reference, fits, metal, tolerance)
+
+    def traced(samples: int) -> Vertices:
+        if own is not None:
+            return trace(own, alpha, samples)
+        assert of_mitsuba is not None  # one of the two was read
+        return trace_mitsuba(of_mitsuba, Material(reference.table, NODES, alpha), samples)
+
+    found = choose(traced, reference, fits, metal, tolerance)
+    if not rendering:
+        return Chosen(found, None)
+    scene = of_mitsuba if own is None else write_mitsuba(own)
+    assert scene is not None  # one of the two was read
+    return Chosen(found, verify(scene, found, reference.table, alpha))
 
 
-def choice_content(choice: Choice) -> dict[str, Any]:
+def mitsuba_is_there() -> bool:
+    """Whether Mitsuba is installed; it is not loaded."""
+    return find_spec("mitsuba") is not None
+
+
+def choice_content(found: Chosen) -> dict[str, Any]:
     """A choice as one JSON object."""
+    choice, rendered = found.choice, found.rendered
     wanted = choice.asked
     return {
         "tolerance": choice.tolerance,
@@ -51,6 +86,12 @@ def choice_content(choice: Choice) -> dict[str, Any]:
             "grazing_share": wanted.grazing,
             "blocked_share": wanted.blocked,
         },
+        "rendered": None
+        if rendered is None
+        else [
+            {"model": each.judged.rung.name, "mean": each.mean, "p95": each.p95, "u_mean": each.u_render}
+            for each in rendered.models
+        ],
     }
 
 

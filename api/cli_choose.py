@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from analysis.choose_report import choice_body, summary
+from analysis.choose_report import choice_body, summary, verified_lines
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.choose import choice_content, choose_model
+from api.choose import choice_content, choose_model, mitsuba_is_there
 from api.simulations import write_page
 
 
@@ -19,9 +19,15 @@ def register(app: typer.Typer) -> None:
 
 def choose_command(
     dataset: DatasetName,
-    scene: Annotated[Path, typer.Option(help="Scene file (YAML).", show_default=False)],
+    scene: Annotated[
+        Path,
+        typer.Option(help="Scene in YAML, or of Mitsuba (.xml) with a BSDF of the id sample.", show_default=False),
+    ],
     tolerance: Annotated[float, typer.Option(min=0.01, help="Largest mean dE00 in the scene.")] = 1.0,
     dielectric: Annotated[bool, typer.Option("--dielectric", help="Take the ladder of a dielectric.")] = False,
+    rendering: Annotated[
+        bool, typer.Option("--render/--no-render", help="Verify the answer by rendering, where Mitsuba is installed.")
+    ] = True,
     page: Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the pictures to write.")] = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
@@ -29,16 +35,21 @@ def choose_command(
     """The simplest model whose colours in a scene stay within a tolerance, and why each cheaper one does not do."""
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)
-    found = choose_model(store, dataset_id, scene, tolerance, dielectric=dielectric)
+    seen = rendering and mitsuba_is_there()
+    found = choose_model(store, dataset_id, scene, tolerance, dielectric=dielectric, rendering=seen)
     sample = store.dataset(dataset_id).sample
     written = None
     if page is not None:
-        written = write_page(page, f"The model that {sample} needs", choice_body(found, sample, scene.name)).path
+        body = choice_body(found.choice, sample, scene.name, found.rendered)
+        written = write_page(page, f"The model that {sample} needs", body).path
     if as_json:
-        emit(choice_content(found) | {"dataset": dataset_id, "page": None if written is None else str(written)})
+        page_path = None if written is None else str(written)
+        emit({"dataset": dataset_id, "scene": str(scene), "page": page_path} | choice_content(found))
         return
     out = Console()
-    for line in summary(found):
+    for line in summary(found.choice):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+    for line in [] if found.rendered is None else verified_lines(found.rendered):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     if written is not None:
         out.print(f"Wrote {written}", markup=False, highlight=False)
