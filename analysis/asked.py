@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.brdf_table import folded
+from analysis.errors import SceneError
 from analysis.vertices import Display, Vertices
 from drivers.arrays import FloatArray
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
+from goniometer.scene_weights import SceneWeights, weights_on_nodes
 
 CELL = 5.0
 """Side of a cell in theta_in and theta_out, degrees."""
@@ -84,3 +86,14 @@ def asked(vertices: Vertices, xyz: FloatArray, display: Display) -> Asked:
         float(weight[far & ~outside].sum() / total),
         float(weight[near & ~far].sum() / total),
     )
+
+
+def scene_weights(found: Asked, scene: str) -> SceneWeights:
+    """What a scene asks for, as a campaign takes it; raises `SceneError` where nothing of it can be measured."""
+    far = found.theta_h + found.theta_d > LARGEST_ANGLE
+    here = ~far & (2 * found.theta_d >= BLOCKED_HALF_WIDTH)
+    if not found.weight[here].sum() > 0:
+        raise SceneError("The scene asks for no direction that can be measured in the plane.")
+    table = weights_on_nodes(found.theta_h[here], found.theta_d[here], found.weight[here])
+    rows = tuple(tuple(round(float(value), 8) for value in row) for row in table)
+    return SceneWeights(scene=scene, colour_slope=found.colour_slope, weights=rows)

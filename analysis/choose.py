@@ -9,6 +9,7 @@ two standard errors of the trace; else it is undetermined, and more samples are 
 ladder is not monotone, so every rung is looked at; it is not climbed.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -42,7 +43,7 @@ class Score:
     """How far a rung is from the measurement in a scene; colour differences are CIEDE2000."""
 
     mean: float
-    """Over all pixels that show the material, if the measurement were exact."""
+    """Over all pixels that show the material, if the measurement were exact; what noise made of it is taken off."""
     p95: float
     expected: float
     """Mean over what the measurement leaves possible."""
@@ -209,15 +210,35 @@ def _score(seen: _Seen, halves: FloatArray) -> Score:
     """Of an image [2, pixels, 3]."""
     mine = halves.mean(axis=0)
     whole = seen.display.difference(seen.reference.mean(axis=0), mine)
-    mean = float(whole.mean())
-    first, second = (float(seen.display.difference(a, b).mean()) for a, b in zip(seen.reference, halves, strict=True))
-    # noise of an image looks like a difference: twice as many samples show how much of the mean is noise
-    u_trace = float(np.hypot(0.5 * (first - second), max(0.5 * (first + second) - mean, 0.0)))
-    possible = [float(seen.display.difference(truth, mine).mean()) for truth in seen.possible]
+    parts = [seen.display.difference(a, b) for a, b in zip(seen.reference, halves, strict=True)]
+    mean, noise = without_noise(float(whole.mean()), [float(part.mean()) for part in parts])
+    p95, _ = without_noise(p95_of(whole), [p95_of(part) for part in parts])
+    u_trace = math.hypot(0.5 * float(parts[0].mean() - parts[1].mean()), noise)
+    possible = np.array([float(seen.display.difference(truth, mine).mean()) for truth in seen.possible])
+    # the noise of the trace is in all of them as it is in the mean
+    possible = np.sqrt(np.maximum(possible**2 - (float(whole.mean()) ** 2 - mean**2), 0.0))
     low, high = (float(v) for v in np.percentile(possible, INTERVAL))
     edge = _STANDARD_ERRORS * u_trace
-    expected = float(np.mean(possible))
-    return Score(mean, float(np.percentile(whole, 95)), expected, u_trace, max(low - edge, 0.0), high + edge)
+    return Score(mean, p95, float(possible.mean()), u_trace, max(low - edge, 0.0), high + edge)
+
+
+def p95_of(differences: FloatArray) -> float:
+    """95th percentile."""
+    return float(np.percentile(differences, 95))
+
+
+def without_noise(whole: float, halves: list[float]) -> tuple[float, float]:
+    """A mean difference of noisy images without what the noise makes of it, and half of that as its standard error.
+
+    `halves` are those of images from half of the samples each, in which the square of the noise is twice as large.
+    Noise and difference add in squares.
+
+    >>> without_noise(5.0, [34**0.5, 34**0.5])
+    (4.0, 0.5)
+    """
+    square = 2 * whole**2 - (sum(halves) / len(halves)) ** 2
+    clean = min(math.sqrt(max(square, 0.0)), whole)
+    return clean, 0.5 * (whole - clean)
 
 
 def _unshown(seen: _Seen) -> tuple[float, float]:

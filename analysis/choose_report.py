@@ -18,6 +18,9 @@ from drivers.arrays import FloatArray
 RUNG_NAMES = MODEL_NAMES | {"lambert": "Lambert", "tinted": "Tinted lobe", "table": "Table of the measurement"}
 """How a person reads the name of a rung."""
 
+LEAST_MEASURABLE = 0.8
+"""Share of a scene's weight below which the page warns that the answer rests on directions that were not measured."""
+
 _STATES = {
     "meets": ("ok", "✓ meets"),
     "fails": ("bad", "✗ fails"),
@@ -38,6 +41,11 @@ def summary(choice: Choice) -> list[str]:
         f"{picture.clipped:.0%} of the pixels are brighter than the display and {picture.dark:.0%} are dark; in "
         "these a colour difference says little."
     )
+    if choice.asked.measurable < LEAST_MEASURABLE:
+        lines.append(
+            f"Only {choice.asked.measurable:.0%} of what the scene asks for can be measured in the plane: the answer "
+            "rests on how the measurement is continued beyond it."
+        )
     lines.append(
         f"{choice.asked.cells} of {choice.asked.all_cells} cells of {CELL:g}° in theta_in and theta_out carry "
         f"{CARRIED:.0%} of what the scene asks for within reach; {choice.asked.out_of_plane:.1%} of it has no "
@@ -82,8 +90,10 @@ def _wavelengths(judged: Judged) -> str:
 
 def choice_body(choice: Choice, sample: str, scene: str, rendered: Verification | None) -> list[str]:
     """Pieces of HTML for the page of a choice."""
-    answer, *refused, bright, reach = summary(choice)
-    kind = "" if choice.chosen is not None else " warn"
+    answer, *rest = summary(choice)
+    refused, others = rest[: len(cheaper(choice))], rest[len(cheaper(choice)) :]
+    sure = choice.chosen is not None and choice.asked.measurable >= LEAST_MEASURABLE
+    kind = "" if sure else " warn"
     return [
         f'<p class="soft">{escape(sample)} in the scene {escape(scene)}</p>',
         f'<div class="verdict{kind}"><strong>{escape(answer)}</strong></div>',
@@ -102,7 +112,7 @@ def choice_body(choice: Choice, sample: str, scene: str, rendered: Verification 
         _table(choice),
         *([] if rendered is None else [_rendered(choice, rendered)]),
         "<h2>What the scene asks for</h2>",
-        f"<p>{escape(bright)}</p><p>{escape(reach)}</p>",
+        *(f"<p>{escape(line)}</p>" for line in others),
     ]
 
 

@@ -1,9 +1,8 @@
 """The vertices of a scene, by casting rays: camera, first hit, and the way to every light.
 
-A sun or a lamp needs one shadow ray; an environment is sampled with a mixture of the lobe that a material of about
-the right roughness has and of a cosine, so that no lobe is missed that differs from it (Veach & Guibas 1995, balance
-heuristic over both). Samples are Sobol points with a shift of their own in every pixel, two halves of each pixel being
-nets of their own.
+A sun or a lamp needs one shadow ray; an environment is sampled twice, by the lobe that a material of about the right
+roughness has and by a cosine, so that no model is missed that differs from it (Veach & Guibas 1995, balance heuristic
+over both). Samples are Sobol points with a shift of their own in every pixel, its two halves being nets of their own.
 """
 
 import math
@@ -23,9 +22,6 @@ from drivers.arrays import BoolArray, FloatArray
 
 WAVELENGTHS = np.arange(360.0, 831.0, 5.0)
 """At which light is known, nm."""
-
-COSINE_SHARE = 0.25
-"""Of the samples of an environment that do not follow the lobe."""
 
 NARROWEST_LOBE = 0.02
 """Roughness below which the proposal does not get narrower; a mirror is hit by many samples all the same."""
@@ -62,8 +58,9 @@ def trace(scene: Scene, alpha: float, samples: int = 64, seed: int = 1) -> Verti
     place = (origin + hits.distance[:, None] * direction)[kept]
     normal, outgoing, numbers = hits.normal[kept], -direction[kept], numbers[kept]
     found = []
-    for light in scene.lights:
-        incident, radiance, far = _towards(light, place, normal, outgoing, numbers[:, 2:], max(alpha, NARROWEST_LOBE))
+    width = max(alpha, NARROWEST_LOBE)
+    ways = [way for light in scene.lights for way in _towards(light, place, normal, outgoing, numbers[:, 2:], width)]
+    for incident, radiance, far in ways:
         cosine = np.sum(incident * normal, axis=1)
         lit = (cosine > 0) & (radiance > 0) & (np.sum(outgoing * normal, axis=1) > 0)
         lit[lit] &= ~_shadowed(scene, place[lit] + _EPSILON * normal[lit], incident[lit], far[lit])
@@ -89,14 +86,14 @@ def trace(scene: Scene, alpha: float, samples: int = 64, seed: int = 1) -> Verti
 
 
 def _sample_numbers(pixels: int, samples: int, seed: int) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
-    """Pixel, half and five numbers in [0, 1) of every camera ray."""
+    """Pixel, half and six numbers in [0, 1) of every camera ray."""
     random = np.random.default_rng(seed)
-    net = qmc.Sobol(5, scramble=False).random(samples // 2)
-    shifts = random.random((pixels, 2, 1, 5))
+    net = qmc.Sobol(6, scramble=False).random(samples // 2)
+    shifts = random.random((pixels, 2, 1, 6))
     numbers = (net + shifts) % 1.0
     pixel = np.repeat(np.arange(pixels), samples)
     half = np.tile(np.repeat([0, 1], samples // 2), pixels)
-    return pixel, half, numbers.reshape(-1, 5)
+    return pixel, half, numbers.reshape(-1, 6)
 
 
 def camera_frame(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -171,47 +168,56 @@ def _meet(shape: Shape, origin: FloatArray, direction: FloatArray) -> tuple[Floa
     return np.where(inside, t, np.inf), np.broadcast_to(normal, direction.shape)
 
 
+_Way = tuple[FloatArray, FloatArray, FloatArray]
+"""Directions to a light [rays, 3], its radiance over the density of the direction, and how far away it is."""
+
+
 def _towards(
     light: Light, place: FloatArray, normal: FloatArray, outgoing: FloatArray, numbers: FloatArray, alpha: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Direction to a light, its radiance over the density of the direction, and how far away it is."""
+) -> list[_Way]:
+    """One way to a sun or a lamp, two to what is all around."""
     count = len(place)
     if light.sun is not None:
         direction = np.broadcast_to(_unit(np.asarray(light.sun, dtype=float)), place.shape)
-        return direction, np.full(count, light.power), np.full(count, np.inf)
+        return [(direction, np.full(count, light.power), np.full(count, np.inf))]
     if light.lamp is not None:
         to = np.asarray(light.lamp, dtype=float) - place
         far = np.linalg.norm(to, axis=1)
-        return to / far[:, None], light.power / far**2, far
-    direction, density = _proposal(normal, outgoing, numbers, alpha)
-    if light.environment is not None:
-        radiance = np.full(count, light.environment)
-    else:
-        assert light.sky is not None  # one of the four is given
-        zenith, horizon = light.sky
-        height = direction[:, 2]
-        radiance = np.where(height >= 0, horizon + (zenith - horizon) * height, 0.0)
-    return direction, radiance / density, np.full(count, np.inf)
+        return [(to / far[:, None], light.power / far**2, far)]
+    ways = []
+    for direction in _proposals(normal, outgoing, numbers, alpha):
+        density = _density(normal, outgoing, direction, alpha)
+        if light.environment is not None:
+            radiance = np.full(count, light.environment)
+        else:
+            assert light.sky is not None  # one of the four is given
+            zenith, horizon = light.sky
+            height = direction[:, 2]
+            radiance = np.where(height >= 0, horizon + (zenith - horizon) * height, 0.0)
+        ways.append((direction, radiance / np.maximum(density, 1e-300), np.full(count, np.inf)))
+    return ways
 
 
-def _proposal(
-    normal: FloatArray, outgoing: FloatArray, numbers: FloatArray, alpha: float
-) -> tuple[FloatArray, FloatArray]:
-    """Incident directions [rays, 3] from the mixture, and their density, 1/sr."""
+def _proposals(normal: FloatArray, outgoing: FloatArray, numbers: FloatArray, alpha: float) -> list[FloatArray]:
+    """Incident directions [rays, 3] that follow a lobe, and such that follow a cosine; `numbers` [rays, 4]."""
     first, second = tangents(normal)
-    choice, u, v = numbers.T
-    even = choice < COSINE_SHARE
-    phi = 2 * np.pi * v
-    sine = np.where(even, np.sqrt(u), alpha * np.sqrt(u) / np.sqrt(np.maximum(1 - u + alpha**2 * u, 1e-300)))
-    cosine = np.sqrt(np.maximum(1 - sine**2, 0.0))
-    drawn = (sine * np.cos(phi))[:, None] * first + (sine * np.sin(phi))[:, None] * second + cosine[:, None] * normal
-    mirrored = 2 * np.sum(outgoing * drawn, axis=1, keepdims=True) * drawn - outgoing
-    direction = np.where(even[:, None], drawn, mirrored)
+
+    def around(sine: FloatArray, turn: FloatArray) -> FloatArray:
+        cosine = np.sqrt(np.maximum(1 - sine**2, 0.0))
+        across = np.cos(2 * np.pi * turn)[:, None] * first + np.sin(2 * np.pi * turn)[:, None] * second
+        return np.asarray(sine[:, None] * across + cosine[:, None] * normal)
+
+    u, v, share, turn = numbers.T
+    facet = around(alpha * np.sqrt(u) / np.sqrt(np.maximum(1 - u + alpha**2 * u, 1e-300)), v)
+    return [2 * np.sum(outgoing * facet, axis=1, keepdims=True) * facet - outgoing, around(np.sqrt(share), turn)]
+
+
+def _density(normal: FloatArray, outgoing: FloatArray, direction: FloatArray, alpha: float) -> FloatArray:
+    """[rays] sum of the densities of both proposals, 1/sr."""
     half = _unit(direction + outgoing)
     cos_m, cos_d = np.abs(np.sum(half * normal, axis=1)), np.abs(np.sum(half * outgoing, axis=1))
     of_lobe = ndf(cos_m, alpha) * cos_m / (4 * np.maximum(cos_d, 1e-9))
-    of_cosine = np.maximum(np.sum(direction * normal, axis=1), 0.0) / np.pi
-    return direction, np.asarray(COSINE_SHARE * of_cosine + (1 - COSINE_SHARE) * of_lobe)
+    return np.asarray(np.maximum(np.sum(direction * normal, axis=1), 0.0) / np.pi + of_lobe)
 
 
 def tangents(normal: FloatArray) -> tuple[FloatArray, FloatArray]:

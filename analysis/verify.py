@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.choose import NODES, Choice, Judged
+from analysis.choose import NODES, Choice, Judged, p95_of, without_noise
 from analysis.ladder import Lambert, Rung
 from analysis.mitsuba_scene import Material, MitsubaScene, render
 from analysis.vertices import Reflectance
@@ -64,10 +64,11 @@ def verify(
     models = []
     for number, each in enumerate(judged, start=1):
         differences = display.difference(whole[0][valid], whole[number][valid])
-        single = [float(display.difference(s[0][valid], s[number][valid]).mean()) for s in images]
-        mean = float(differences.mean())
-        u_render = math.hypot(0.5 * (single[0] - single[1]), max(sum(single) / len(single) - mean, 0.0))
-        models.append(Verified(each, mean, float(np.percentile(differences, 95)), u_render))
+        parts = [display.difference(of_seed[0][valid], of_seed[number][valid]) for of_seed in images]
+        mean, noise = without_noise(float(differences.mean()), [float(part.mean()) for part in parts])
+        p95, _ = without_noise(p95_of(differences), [p95_of(part) for part in parts])
+        u_render = math.hypot(0.5 * float(parts[0].mean() - parts[1].mean()), noise)
+        models.append(Verified(each, mean, p95, u_render))
     return Verification(tuple(models), whole[0], whole[1], valid)
 
 

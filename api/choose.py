@@ -1,6 +1,6 @@
 """Which model of a dataset a scene needs."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,9 @@ from analysis.scene_rays import trace
 from analysis.verify import Verification, verify
 from analysis.vertices import Vertices
 from api.products import conductor_name, last_way
+from goniometer.campaign import AngleSteps
+from goniometer.plan_spec import PlanSpec, coarse, incident
+from goniometer.scene_weights import SceneWeights
 from goniometer.store import Store
 
 
@@ -60,6 +63,16 @@ def choose_model(
     scene = of_mitsuba if own is None else write_mitsuba(own)
     assert scene is not None  # one of the two was read
     return Chosen(found, verify(scene, found, reference.table, alpha))
+
+
+def first_pass(weights: SceneWeights) -> str:
+    """How the scan of a scene begins, beside that of all directions; no sentence end."""
+    usual = PlanSpec(AngleSteps(start=0, stop=80, step=10).angles)
+    here = replace(usual, importance=weights.importance, colour_slope=weights.colour_slope)
+    return (
+        f"a campaign with it visits {len(incident(here))} of {len(usual.theta_in)} incident angles and begins with "
+        f"{len(coarse(here))} directions instead of {len(coarse(usual))}"
+    )
 
 
 def mitsuba_is_there() -> bool:

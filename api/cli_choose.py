@@ -6,9 +6,12 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from analysis.asked import scene_weights
 from analysis.choose_report import choice_body, summary, verified_lines
+from analysis.fit_json import strict_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.choose import choice_content, choose_model, mitsuba_is_there
+from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
+from api.derive import write_text
 from api.simulations import write_page
 
 
@@ -29,6 +32,9 @@ def choose_command(
         bool, typer.Option("--render/--no-render", help="Verify the answer by rendering, where Mitsuba is installed.")
     ] = True,
     page: Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the pictures to write.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="File to write for a campaign's resolution.scene: what the scene asks for.")
+    ] = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
@@ -42,9 +48,15 @@ def choose_command(
     if page is not None:
         body = choice_body(found.choice, sample, scene.name, found.rendered)
         written = write_page(page, f"The model that {sample} needs", body).path
+    if weights is not None:
+        write_text("weights", weights, strict_json(scene_weights(found.choice.asked, scene.name).model_dump()))
     if as_json:
         page_path = None if written is None else str(written)
-        emit({"dataset": dataset_id, "scene": str(scene), "page": page_path} | choice_content(found))
+        weights_path = None if weights is None else str(weights)
+        emit(
+            {"dataset": dataset_id, "scene": str(scene), "page": page_path, "weights": weights_path}
+            | choice_content(found)
+        )
         return
     out = Console()
     for line in summary(found.choice):
@@ -53,3 +65,6 @@ def choose_command(
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     if written is not None:
         out.print(f"Wrote {written}", markup=False, highlight=False)
+    if weights is not None:
+        told = first_pass(scene_weights(found.choice.asked, scene.name))
+        out.print(f"Wrote {weights}; {told}", markup=False, highlight=False, soft_wrap=True)

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from goniometer.campaign import Campaign
 from goniometer.errors import CampaignError
+from goniometer.scene_weights import read_weights
 from goniometer.wording import describe
 
 
@@ -25,7 +26,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def load_campaign(path: Path | str) -> Campaign:
-    """Read and check a campaign file; a relative certificate path is taken from the file's own folder.
+    """Read and check a campaign file; relative paths of a certificate and of a scene's weights start at its folder.
 
     Raises `CampaignError`, one line with the file, the key, what is wrong and what would be right.
     """
@@ -46,6 +47,11 @@ def load_campaign(path: Path | str) -> Campaign:
         ) from None
     if not isinstance(content, dict):
         raise CampaignError(f"{path}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
+    resolution = content.get("resolution")
+    if isinstance(resolution, dict) and isinstance(resolution.get("scene"), str):
+        # what a campaign asks for must not change with a file while it runs
+        weights = read_weights(path.parent / resolution["scene"])
+        content["resolution"] = resolution | {"scene": weights.model_dump()}
     try:
         campaign = Campaign.model_validate(content)
     except ValidationError as error:
