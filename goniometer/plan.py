@@ -250,7 +250,7 @@ def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
 
 
 def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
-    """Whether the last `count` points lie where the others predict them."""
+    """Whether the last `count` points lie where the others predict them, in a scene as nearly as it asks for."""
     before, latest = measured[:-count], measured[-count:]
     latest = [p for p in latest if np.all(np.isfinite(p.values))]
     known = _known(spec, before)
@@ -260,6 +260,11 @@ def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
     at = np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
     there = predict(process, *at)
     values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
+    if spec.colour_slope is not None and spec.colour_tolerance is not None and spec.importance is not None:
+        # as if all directions were as wrong as these, which were the least known ones
+        wrong = np.mean((latent(values, process.shape.offset) - there.latent) ** 2, axis=1)
+        seen = np.average(wrong, weights=spec.importance(*at))
+        return bool(spec.colour_slope * np.sqrt(seen) <= spec.colour_tolerance)
     read_noise = process.shape.read_noise(*at, values, noise)[:, None]
     u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
     return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < CONFIRMED)

@@ -157,7 +157,7 @@ def _without(angles: list[float], others: list[float]) -> list[float]:
 MATTERS = 0.04
 """Part of the weight of all incident angles that one must have in a scene to be visited."""
 
-FIRST_IN_SCENE = 12
+FIRST_IN_SCENE = 8
 """About how many directions a scene is begun with, shared out by the weight of the incident angles."""
 
 _MOST_OF_ONE = 3
