@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cholesky
 
-from analysis.colour import COLOUR_RANGE, observer
+from analysis.colour import COLOUR_RANGE, observer, xyz_weights
 from analysis.directions import Directions, in_plane, round_aperture, through_aperture
 from analysis.distributions import lobe, ndf
 from drivers.arrays import FloatArray
@@ -105,6 +105,7 @@ def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 
     GGX. Only of a metal does Q come without its visibility. Raises `CalibrationError` for too few points, and
     `OutOfRange` for wavelengths that a colour cannot be told from.
     """
+    xyz_weights(dataset.wavelengths)  # which refuses those without a colour
     seen = _visible(dataset)
     theta_h, theta_d = table_nodes(alpha)
     in_angle, out_angle = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))

@@ -27,6 +27,9 @@ from drivers.arrays import FloatArray
 NODES = np.arange(400.0, 701.0, 10.0)
 """Wavelengths at which rungs are compared before they are reduced, nm."""
 
+FEWER = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
+"""Numbers of wavelengths to which the chosen rung is tried to be reduced; an error does not fall with every one more."""
+
 FEW_SAMPLES, MANY_SAMPLES = 64, 256
 """Samples of a pixel at first, and where these leave a rung undetermined."""
 
@@ -110,6 +113,15 @@ class Choice:
     """Directions that the scene asks for."""
 
 
+def least_directions(choice: Choice, judged: Judged) -> int:
+    """How many directions must be measured for a model at the least.
+
+    A model has as many unknowns as parameters that describe directions, each measured direction telling all
+    wavelengths; a table has to know every cell that the scene asks for.
+    """
+    return choice.asked.cells if judged.rung.name == "table" else max(len(judged.rung.shape), 1)
+
+
 def choose(
     trace: Callable[[int], Vertices],
     reference: Reference,
@@ -137,7 +149,7 @@ def _choose(
     tried: list[Judged] = []
     chosen = meeting
     if meeting is not None:
-        for count in range(1, 9):
+        for count in FEWER:
             fewer = _judged(seen, meeting.rung, nodes(count), tolerance)
             if fewer.state == "meets":
                 chosen = fewer

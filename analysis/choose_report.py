@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from analysis.asked import CARRIED, CELL
-from analysis.choose import Choice, Judged
+from analysis.choose import Choice, Judged, least_directions
 from analysis.colour import display_encoded
 from analysis.figures import SEQUENCE
 from analysis.page import MODEL_NAMES, bullets, figure
@@ -200,19 +200,20 @@ def ladder_chart(choice: Choice) -> str:
 
 
 def _table(choice: Choice) -> str:
-    numbers = ("expected dE00", "interval", "mean", "p95", "wavelengths", "parameters", "bytes", "ns")
+    numbers = ("expected dE00", "interval", "mean", "p95", "wavelengths", "parameters", "bytes", "directions", "ns")
     head = "".join(f'<th class="number">{name}</th>' for name in numbers)
     rows = [*choice.judged, *choice.tried, *([] if choice.chosen is None else [choice.chosen])]
-    body = "".join(_row(judged) for judged in rows)
+    body = "".join(_row(choice, judged) for judged in rows)
     return (
         f'<div class="wide"><table><caption>Every model at {choice.judged[0].wavelengths.size} wavelengths, then the '
         "chosen one at fewer. Mean and p95, over pixels, are those of an exact measurement. Bytes are those of the "
-        "parameters in single precision; ns is what one direction at one wavelength takes on this computer.</caption>"
+        "parameters in single precision, directions those that must be measured at the least; ns is what one direction "
+        "at one wavelength takes on this computer.</caption>"
         f"<tr><th>Model</th><th></th>{head}</tr>{body}</table></div>"
     )
 
 
-def _row(judged: Judged) -> str:
+def _row(choice: Choice, judged: Judged) -> str:
     score, (kind, word) = judged.score, _STATES[judged.state]
     numbers = (
         f"{score.expected:.2f}",
@@ -222,6 +223,7 @@ def _row(judged: Judged) -> str:
         f"{judged.wavelengths.size}",
         f"{judged.parameters}",
         f"{judged.size}",
+        f"{least_directions(choice, judged)}",
         f"{judged.nanoseconds:.0f}",
     )
     cells = "".join(f'<td class="number">{number}</td>' for number in numbers)

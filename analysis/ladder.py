@@ -114,14 +114,13 @@ def ladder(
     """
     simplest = fits[0]
     distribution = simplest.distribution or "ggx"
-    # the lobe of a model whose colours are wrong is the less certain
-    of_lobe_best = min(fits, key=lambda fit: fit.standard_error("alpha"))
-    alpha = of_lobe_best.value("alpha")
+    surest = _surest_lobe(fits)
+    alpha = surest.value("alpha")
     light, of_lobe, of_even = _reflected(vertices, reference, wavelengths, alpha, distribution)
     rungs = [Rung("lambert", Lambert(wavelengths, light / of_even), (), 1)]
     if not simplest.model.startswith("dielectric"):
         tinted = Tinted(alpha, distribution, wavelengths, light / of_lobe)
-        rungs.append(Rung("tinted", tinted, ("alpha",), 1, _unknown_lobe(of_lobe_best)))
+        rungs.append(Rung("tinted", tinted, ("alpha",), 1, _unknown_lobe(surest)))
     for fit in fits:
         conductor = None if fit.model.startswith("dielectric") else metal
         form = form_of(fit.model, conductor, distribution)
@@ -144,6 +143,16 @@ def _unknown(fit: ModelFit) -> tuple[str, ...]:
     if not names:
         return () if fit.verdict.converged else ("The fit did not converge.",)
     return (f"The data do not tell its {' and '.join(names)}.",)
+
+
+def _surest_lobe(fits: tuple[ModelFit, ...]) -> ModelFit:
+    """The fit that knows alpha best: one whose colours are wrong is the less certain."""
+    return min(fits, key=lambda fit: fit.standard_error("alpha"))
+
+
+def roughness(fits: tuple[ModelFit, ...]) -> float:
+    """About how rough the material is, by the fit that knows it best."""
+    return _surest_lobe(fits).value("alpha")
 
 
 def _unknown_lobe(fit: ModelFit) -> tuple[str, ...]:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from analysis.brdf_table import reference_table
-from analysis.choose import NODES, Choice, Judged, choose
+from analysis.choose import NODES, Choice, Judged, choose, least_directions
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
-from analysis.ladder import DIELECTRIC_FITS, METAL_FITS
+from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, roughness
 from analysis.mitsuba_scene import Material, read_mitsuba, trace_mitsuba, write_mitsuba
 from analysis.scene import load_scene
 from analysis.scene_rays import trace
@@ -48,7 +48,7 @@ def choose_model(
     models = DIELECTRIC_FITS if dielectric else METAL_FITS
     local = local_fit_for(dataset, models, metal, how.engine)
     fits = fit_models(dataset, local, models, metal, how.engine, how.distribution, how.weight)
-    alpha = fits[0].value("alpha")
+    alpha = roughness(fits)
     reference = reference_table(dataset, alpha, metal=not dielectric)
 
     def traced(samples: int) -> Vertices:
@@ -86,9 +86,9 @@ def choice_content(found: Chosen) -> dict[str, Any]:
     wanted = choice.asked
     return {
         "tolerance": choice.tolerance,
-        "chosen": None if choice.chosen is None else _judged(choice.chosen),
-        "rungs": [_judged(judged) for judged in choice.judged],
-        "too_few_wavelengths": [_judged(judged) for judged in choice.tried],
+        "chosen": None if choice.chosen is None else _judged(choice, choice.chosen),
+        "rungs": [_judged(choice, judged) for judged in choice.judged],
+        "too_few_wavelengths": [_judged(choice, judged) for judged in choice.tried],
         "clipped_share": choice.picture.clipped,
         "dark_share": choice.picture.dark,
         "asked": {
@@ -108,7 +108,7 @@ def choice_content(found: Chosen) -> dict[str, Any]:
     }
 
 
-def _judged(judged: Judged) -> dict[str, Any]:
+def _judged(choice: Choice, judged: Judged) -> dict[str, Any]:
     return {
         "model": judged.rung.name,
         "state": judged.state,
@@ -117,5 +117,6 @@ def _judged(judged: Judged) -> dict[str, Any]:
         "wavelengths_nm": judged.wavelengths.tolist(),
         "parameters": judged.parameters,
         "bytes": judged.size,
+        "least_directions": least_directions(choice, judged),
         "nanoseconds": judged.nanoseconds,
     }

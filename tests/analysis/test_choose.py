@@ -8,7 +8,7 @@ import pytest
 
 from analysis.asked import asked
 from analysis.brdf_table import BrdfTable, Reference, folded, reference_table, table_nodes
-from analysis.choose import NODES, choose, nodes, without_draws
+from analysis.choose import FEWER, NODES, choose, nodes, without_draws
 from analysis.directions import Directions, from_vectors, in_plane
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
@@ -140,7 +140,7 @@ def test_shares_that_cannot_be_measured_add_up(reference: Reference) -> None:
 
 
 def test_candidate_wavelengths_ascend_within_what_the_eye_sees() -> None:
-    for count in range(1, 9):
+    for count in FEWER:
         wavelengths = nodes(count)
         assert wavelengths.size == count
         assert np.all(np.diff(wavelengths) > 0)

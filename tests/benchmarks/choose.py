@@ -21,7 +21,7 @@ from analysis.directions import Directions
 from analysis.distributions import g1, ndf
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.ladder import METAL_FITS
+from analysis.ladder import METAL_FITS, roughness
 from analysis.mitsuba_scene import Material, MitsubaScene, read_mitsuba, trace_mitsuba, write_mitsuba
 from analysis.models import cook_torrance, cosine_slope, shift, theta_m
 from analysis.results import ModelFit
@@ -126,7 +126,7 @@ def known(alpha: float, truth: Truth, *, as_table: bool) -> tuple[Reference, tup
     dataset = _measure(alpha, brdf=truth, wavelength_step=9.0, noise=1e-3, incident=tuple(range(0, 81, 10)))
     local = local_fit_for(dataset, METAL_FITS)
     fits = fit_models(dataset, local, METAL_FITS)
-    reference = without_draws(reference_table(dataset, fits[0].value("alpha"), metal=True))
+    reference = without_draws(reference_table(dataset, roughness(fits), metal=True))
     if as_table:
         return reference, fits
     table = reference.table
@@ -157,7 +157,7 @@ def main(samples: int = 512) -> None:
     with tempfile.TemporaryDirectory() as name:
         for material, (_, truth, as_table) in MATERIALS.items():
             reference, fits = known(MATERIALS[material][0], truth, as_table=as_table)
-            alpha = fits[0].value("alpha")
+            alpha = roughness(fits)
             for title, scene in SCENES.items():
                 count += 1
                 for_mitsuba, trace_it = tracer(scene, reference, alpha, Path(name))
