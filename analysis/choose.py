@@ -28,7 +28,7 @@ NODES = np.arange(400.0, 701.0, 10.0)
 """Wavelengths at which rungs are compared before they are reduced, nm."""
 
 FEWER = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
-"""Numbers of wavelengths to which the chosen rung is tried to be reduced; an error does not fall with every one more."""
+"""Numbers of wavelengths to which the chosen rung is reduced, if that will do; more are not always better."""
 
 FEW_SAMPLES, MANY_SAMPLES = 64, 256
 """Samples of a pixel at first, and where these leave a rung undetermined."""

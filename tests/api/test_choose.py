@@ -43,16 +43,10 @@ def test_a_scene_gets_its_model_a_page_and_a_campaign_of_its_own(cli: Any, small
     assert "in the scene sun.yaml" in " ".join(planned.stdout.split())
 
 
-@pytest.mark.parametrize(
-    ("scene", "says"),
-    [("camera: 1\n", "camera"), ("lights: [", "YAML"), (SUN.replace("sphere: 1", "sphere: -1"), "sphere")],
-)
-def test_a_scene_that_is_none_ends_with_code_2_and_one_line(
-    cli: Any, small: Small, tmp_path: Path, scene: str, says: str
-) -> None:
+def test_a_scene_that_is_none_ends_with_code_2_and_one_line(cli: Any, small: Small, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
-    path.write_text(scene)
+    path.write_text(SUN.replace("sphere: 1", "sphere: -1"))
     done = cli("choose", "Sample 1", "--scene", path, cwd=small[0])
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
-    assert says in done.stderr
+    assert "sphere" in done.stderr
