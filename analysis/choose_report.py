@@ -123,7 +123,7 @@ def pictures(choice: Choice) -> str:
     caption = "The scene by the measurement; no model was chosen."
     if picture.chosen is not None and choice.chosen is not None:
         difference = picture.display.difference(picture.reference, picture.chosen)
-        top = max(2 * choice.tolerance, float(np.percentile(difference, 99)))
+        top = _brightest(choice, difference)
         panels += [
             _captioned(_rgb(choice, picture.chosen), f"by {RUNG_NAMES[choice.chosen.rung.name]}"),
             _captioned(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
@@ -132,15 +132,25 @@ def pictures(choice: Choice) -> str:
     return figure(panels, caption, "three")
 
 
+def _brightest(choice: Choice, difference: FloatArray) -> float:
+    """The dE00 that is drawn brightest."""
+    return max(2 * choice.tolerance, float(np.percentile(difference, 99)))
+
+
 def _rendered(choice: Choice, rendered: Verification) -> str:
     """The chapter of the rendering."""
-    pair = [
-        _captioned(_rgb(choice, image), words)
-        for image, words in ((rendered.reference, "rendered by the measurement"), (rendered.chosen, "by the model"))
+    valid = rendered.valid
+    difference = np.zeros(valid.size)
+    difference[valid] = choice.picture.display.difference(rendered.reference[valid], rendered.chosen[valid])
+    top = _brightest(choice, difference)
+    panels = [
+        _captioned(_rgb(choice, np.nan_to_num(rendered.reference)), "rendered by the measurement"),
+        _captioned(_rgb(choice, np.nan_to_num(rendered.chosen)), "rendered by the model"),
+        _captioned(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
     ]
     return (
         "<h2>Rendered</h2>"
-        + figure(pair, "The same scene and exposure, rendered by Mitsuba with the same random numbers.", "three")
+        + figure(panels, "The same scene and exposure, rendered by Mitsuba with the same random numbers.", "three")
         + bullets(verified_lines(rendered))
     )
 
@@ -200,15 +210,15 @@ def ladder_chart(choice: Choice) -> str:
 
 
 def _table(choice: Choice) -> str:
-    numbers = ("expected dE00", "interval", "mean", "p95", "wavelengths", "parameters", "bytes", "directions", "ns")
+    numbers = ("dE00", "interval", "mean", "p95", "λ", "numbers", "bytes", "directions", "ns")
     head = "".join(f'<th class="number">{name}</th>' for name in numbers)
     rows = [*choice.judged, *choice.tried, *([] if choice.chosen is None else [choice.chosen])]
     body = "".join(_row(choice, judged) for judged in rows)
     return (
         f'<div class="wide"><table><caption>Every model at {choice.judged[0].wavelengths.size} wavelengths, then the '
-        "chosen one at fewer. Mean and p95, over pixels, are those of an exact measurement. Bytes are those of the "
-        "parameters in single precision, directions those that must be measured at the least; ns is what one direction "
-        "at one wavelength takes on this computer.</caption>"
+        "chosen one at fewer. dE00 is the expected mean over pixels; mean and p95 are those of an exact measurement. "
+        "λ: wavelengths; numbers: parameters; bytes: their size in single precision; directions: how many must be "
+        "measured at the least; ns: what one direction at one wavelength takes on this computer.</caption>"
         f"<tr><th>Model</th><th></th>{head}</tr>{body}</table></div>"
     )
 
