@@ -36,6 +36,27 @@ def _observer_under_d65() -> tuple[FloatArray, FloatArray]:
     return wavelengths, weighted / weighted[:, 1].sum()
 
 
+def observer(wavelengths: FloatArray) -> FloatArray:
+    """[wavelengths, 3] colour matching functions of the CIE 1931 2 degree observer; `wavelengths` in nm."""
+    import colour  # noqa: PLC0415  (takes seconds)
+
+    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.stack([np.interp(wavelengths, cmfs.wavelengths, cmfs.values[:, i], 0, 0) for i in range(3)], axis=-1)
+
+
+def illuminant(name: str, wavelengths: FloatArray) -> FloatArray:
+    """[wavelengths] relative spectrum of a CIE illuminant, e.g. D65, A or FL11; `wavelengths` in nm.
+
+    Raises `OutOfRange` for a name that `colour-science` does not know.
+    """
+    import colour  # noqa: PLC0415  (takes seconds)
+
+    if name not in colour.SDS_ILLUMINANTS:
+        raise OutOfRange(f'There is no illuminant "{name}"; there are D65, D50, A, E, FL1 to FL12, LED-B1 and others.')
+    found = colour.SDS_ILLUMINANTS[name]
+    return np.asarray(np.interp(wavelengths, found.wavelengths, found.values))
+
+
 def xyz_weights(wavelengths: FloatArray) -> FloatArray:
     """[wavelengths, 3] weights that turn a spectrum sampled at `wavelengths` (nm, ascending) into XYZ under D65.
 

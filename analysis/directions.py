@@ -27,6 +27,14 @@ def _from_vectors(incident: FloatArray, reflected: FloatArray) -> Directions:
     return Directions(incident[..., 2], reflected[..., 2], half[..., 2], np.sum(incident * half, axis=-1))
 
 
+def from_vectors(incident: FloatArray, reflected: FloatArray, normal: FloatArray) -> Directions:
+    """Cosines of unit vectors [..., 3] away from a surface with the unit `normal` [..., 3]."""
+    half = incident + reflected
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    pairs = ((incident, normal), (reflected, normal), (half, normal), (incident, half))
+    return Directions(*(np.sum(a * b, axis=-1) for a, b in pairs))
+
+
 def _unit(theta: FloatArray, sideways: FloatArray | float = 0.0) -> FloatArray:
     """Unit vectors at the signed in-plane angle `theta`, tilted `sideways` out of the plane; both radians."""
     theta, tilt = np.broadcast_arrays(theta, np.asarray(sideways, dtype=float))

@@ -4,7 +4,9 @@ AnalysisError
 ├── OutOfRange         a wavelength, direction or parameter that a model or its data does not cover
 ├── UnknownConductor   a metal that the tables do not have (exit code 2)
 ├── FitError           data that cannot be fitted
-└── ExportError        a result that cannot be written in the wanted format
+├── ExportError        a result that cannot be written in the wanted format
+├── SceneError         a scene that shows nothing of its material (exit code 2)
+└── RenderError        a renderer that is not there, or that failed
 
 Every message is one sentence that says what is wrong, where, and what would be right.
 """
@@ -32,3 +34,13 @@ class FitError(AnalysisError):
 
 class ExportError(AnalysisError):
     """A result that cannot be written in the wanted format."""
+
+
+class SceneError(AnalysisError):
+    """A scene that shows nothing of its material."""
+
+    exit_code = 2
+
+
+class RenderError(AnalysisError):
+    """A renderer that is not there, or that failed."""

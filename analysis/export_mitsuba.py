@@ -12,19 +12,21 @@ Conventions: u_x = sqrt(2 theta_m / pi), phi_m - phi_i = (2 u_y - 1) pi.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from analysis.bsdf_fields import LOWEST_COS, bsdf_fields, unit
 from analysis.colour import delta_e_2000, xyz_weights
 from analysis.directions import Directions
-from analysis.distributions import g1, ndf
+from analysis.distributions import g1
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.measured_bsdf import evaluate, read_bsdf
 from analysis.models import cook_torrance, cosine_slope, shift
 from analysis.results import ModelFit
-from analysis.tensor_file import Tensor, encode
+from analysis.tensor_file import encode
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
@@ -40,11 +42,6 @@ LAYOUTS = {"flat": 0.0, "vndf": 0.5}
 LARGEST_TESTED_ANGLE = 80.0
 """Degrees; directions beyond are in the file but not in its stated error."""
 
-_INCIDENT_NODES = 32
-_TABLE_NODES = 80  # per side of the square; 32 x 80 x 80 f32 values are 0.8 MB a wavelength
-_WARP_ROWS, _WARP_COLUMNS = 32, 128
-_LOBE_NODES = 2049  # the lobe of a mirror (alpha 0.0045) spans the first 5 % of sqrt(theta_m)
-_LOWEST_COS = 0.02  # below the horizon the table continues with its value here: no renderer reads further
 _TEST_PAIRS = 4000
 _TEST_SEED = 20220701
 
@@ -102,7 +99,10 @@ def write_bsdf(
     """
     model = _Model(alpha, conductor, h, w)
     wavelengths, colour_error = _wavelength_nodes(model)
-    contents = {layout: _fields(model, wavelengths, share) for layout, share in LAYOUTS.items()}
+    contents = {
+        layout: bsdf_fields(partial(_at_normals, model, wavelengths), alpha, wavelengths, share)
+        for layout, share in LAYOUTS.items()
+    }
     errors = {layout: _measured_error(encode(fields), model) for layout, fields in contents.items()}
     layout = min(errors, key=lambda name: errors[name].p99)
     description = _description(about, model, layout, errors[layout], wavelengths, colour_error)
@@ -171,112 +171,17 @@ def _wavelength_nodes(model: _Model) -> tuple[FloatArray, float]:
         nodes = sorted([*nodes, int(np.argmax(error))])
 
 
-def _fields(model: _Model, wavelengths: FloatArray, share: float) -> dict[str, Tensor]:
-    """The fields of a file in one layout, its description still empty."""
-    theta_i = np.linspace(0, np.pi / 2, _INCIDENT_NODES)
-    lobe = np.linspace(0, 1, _LOBE_NODES) ** 2 * (np.pi / 2)
-    warp = _visible_normals(model.alpha, theta_i, share) if share else np.ones((_INCIDENT_NODES, 2, 2))
-    even = np.linspace(0, 1, _TABLE_NODES)
-    nodes = np.stack(np.meshgrid(even, even), axis=-1).reshape(-1, 2)
-    spectra = np.empty((_INCIDENT_NODES, wavelengths.size, _TABLE_NODES, _TABLE_NODES))
-    luminance = np.empty((_INCIDENT_NODES, _TABLE_NODES, _TABLE_NODES))
-    for t, theta in enumerate(theta_i):
-        u, density = _warp(warp[t], nodes)
-        table, sampling = _at_normals(model, wavelengths, theta, u)
-        spectra[t] = table.T.reshape(spectra.shape[1:])
-        # where the table is dark a renderer must still look now and then
-        luminance[t] = np.maximum(sampling / density, 1e-3 * np.mean(sampling / density)).reshape(luminance.shape[1:])
-    return {
-        "description": np.zeros(0, np.uint8),
-        "jacobian": np.ones(1, np.uint8),
-        "theta_i": theta_i,
-        "phi_i": np.zeros(1),
-        "wavelengths": wavelengths,
-        "ndf": np.tile(ndf(np.cos(lobe), model.alpha), (2, 1)),
-        "sigma": np.tile(_projected_area(lobe, model.alpha), (2, 1)),
-        "vndf": warp[None],
-        "luminance": luminance[None],
-        "spectra": spectra[None],
-    }
-
-
-def _at_normals(model: _Model, wavelengths: FloatArray, theta_i: float, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """G1(o) F shift [nodes, wavelengths] and the wanted sampling density [nodes] over `u` [nodes, 2]."""
-    theta_m = u[:, 0] ** 2 * (np.pi / 2)
-    normal = _unit(theta_m, (2 * u[:, 1] - 1) * np.pi)
-    cos_d = normal @ _unit(np.array(theta_i), np.array(0.0))
+def _at_normals(
+    model: _Model, wavelengths: FloatArray, theta_i: float, normal: FloatArray, cos_d: FloatArray
+) -> FloatArray:
+    """G1(o) F shift [nodes, wavelengths]."""
     cos_o = 2 * cos_d * normal[:, 2] - np.cos(theta_i)
     n, k = model.conductor.index(wavelengths)
-    masking = g1(np.maximum(cos_o, _LOWEST_COS), model.alpha)
-    fresnel = fresnel_conductor(np.maximum(cos_d, _LOWEST_COS)[:, None], n, k)
-    tilt = shift(cosine_slope(np.degrees(theta_m), model.h, model.w), wavelengths)
-    table = masking[:, None] * fresnel * tilt
-    # samples below the horizon are lost; let their share fade out over the width of a few cells
-    above = np.clip(1 + cos_o / 0.15, 0, 1)
-    facing = ndf(normal[:, 2], model.alpha) * np.maximum(cos_d, 0) * u[:, 0] * np.sin(theta_m)
-    return table, facing * table.mean(axis=1) * above
-
-
-def _visible_normals(alpha: float, theta_i: FloatArray, share: float) -> FloatArray:
-    """[T, rows, columns] density in the unit square of which `share` follows the visible normals (Walter et al.)."""
-    u_y, u_x = np.meshgrid(np.linspace(0, 1, _WARP_ROWS), np.linspace(0, 1, _WARP_COLUMNS), indexing="ij")
-    theta_m = u_x**2 * (np.pi / 2)
-    normal = _unit(theta_m, (2 * u_y - 1) * np.pi)
-    facing = np.stack([normal @ _unit(theta, np.array(0.0)) for theta in theta_i])
-    density = ndf(normal[..., 2], alpha) * np.maximum(facing, 0) * u_x * np.sin(theta_m)
-    mean = np.trapezoid(np.trapezoid(density, u_x[0], axis=-1), u_y[:, 0], axis=-1)
-    # rounded as the file rounds, because the nodes of the table have to follow the warp that is read back
-    return np.asarray(1 - share + share * density / mean[:, None, None], dtype="f4").astype(float)
-
-
-def _warp(density: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where samples `s` [n, 2] of the unit square fall under a bilinear density [rows, columns], and its value there.
-
-    Column s[:, 1] is inverted through the marginal over rows first, then s[:, 0] within the row.
-    """
-    rows, columns = density.shape
-    along = _running_integral(density)
-    up = _running_integral(along[:, -1])
-    y = _invert(np.broadcast_to(up, (len(s), rows)), np.broadcast_to(along[:, -1], (len(s), rows)), s[:, 1])
-    row = np.minimum((y * (rows - 1)).astype(int), rows - 2)
-    part = (y * (rows - 1) - row)[:, None]
-    inside = density[row] * (1 - part) + density[row + 1] * part
-    x = _invert(along[row] * (1 - part) + along[row + 1] * part, inside, s[:, 0])
-    column = np.minimum((x * (columns - 1)).astype(int), columns - 2)
-    rest = x * (columns - 1) - column
-    each = np.arange(len(s))
-    value = inside[each, column] * (1 - rest) + inside[each, column + 1] * rest
-    return np.stack([x, y], axis=-1), np.asarray(value / up[-1])
-
-
-def _running_integral(values: FloatArray) -> FloatArray:
-    """Integral from 0 to every even node of [0, 1] of a piecewise linear function, last axis."""
-    steps = (values[..., 1:] + values[..., :-1]) / (2 * (values.shape[-1] - 1))
-    return np.asarray(np.pad(np.cumsum(steps, axis=-1), [(0, 0)] * (values.ndim - 1) + [(1, 0)]))
-
-
-def _invert(integral: FloatArray, density: FloatArray, share: FloatArray) -> FloatArray:
-    """[n] where the running integral [n, nodes] of a piecewise linear density reaches `share` of its total."""
-    nodes = integral.shape[-1]
-    wanted = share * integral[:, -1]
-    cell = np.clip(np.sum(integral <= wanted[:, None], axis=-1) - 1, 0, nodes - 2)
-    each = np.arange(len(share))
-    low, high = density[each, cell], density[each, cell + 1]
-    rest = (wanted - integral[each, cell]) * (nodes - 1)
-    # root of low x + (high - low) x^2 / 2 = rest, in the form that survives high = low
-    root = 2 * rest / (low + np.sqrt(np.maximum(low**2 + 2 * (high - low) * rest, 0)))
-    return np.asarray((cell + np.clip(root, 0, 1)) / (nodes - 1))
-
-
-def _projected_area(theta: FloatArray, alpha: float) -> FloatArray:
-    """cos(theta) / G1(theta) of GGX, in a form that stays finite at the horizon (`theta` in radians)."""
-    return np.asarray(0.5 * (np.cos(theta) + np.hypot(np.cos(theta), alpha * np.sin(theta))))
-
-
-def _unit(theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """[..., 3] unit vectors; angles in radians."""
-    theta, phi = np.broadcast_arrays(theta, phi)
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    masking = g1(np.maximum(cos_o, LOWEST_COS), model.alpha)
+    fresnel = fresnel_conductor(np.maximum(cos_d, LOWEST_COS)[:, None], n, k)
+    theta_m = np.degrees(np.arccos(np.clip(normal[:, 2], -1, 1)))
+    tilt = shift(cosine_slope(theta_m, model.h, model.w), wavelengths)
+    return np.asarray(masking[:, None] * fresnel * tilt)
 
 
 def _test_directions(alpha: float) -> tuple[FloatArray, FloatArray]:
@@ -285,11 +190,11 @@ def _test_directions(alpha: float) -> tuple[FloatArray, FloatArray]:
     lowest = np.cos(np.radians(LARGEST_TESTED_ANGLE))
 
     def uniform() -> FloatArray:
-        return _unit(np.arccos(rng.uniform(lowest, 1, _TEST_PAIRS)), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
+        return unit(np.arccos(rng.uniform(lowest, 1, _TEST_PAIRS)), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
 
     incident = uniform()
     share = rng.random(_TEST_PAIRS)
-    normal = _unit(np.arctan(alpha * np.sqrt(share / (1 - share))), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
+    normal = unit(np.arctan(alpha * np.sqrt(share / (1 - share))), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
     reflected = 2 * np.sum(incident * normal, axis=-1, keepdims=True) * normal - incident
     lit = np.flatnonzero(reflected[:, 2] > lowest)[: _TEST_PAIRS // 2]
     even = uniform()

@@ -21,6 +21,7 @@ from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
+from api.cli_choose import register as add_choose
 from api.cli_import import register as add_import
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
@@ -284,6 +285,7 @@ def export(
 
 
 add_characterisations(app)
+add_choose(app)
 add_import(app)
 add_quality(app)
 add_tradeoff(app)

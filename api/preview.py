@@ -54,6 +54,8 @@ class Preview:
     """Wanted root mean square error of reading ln(1 + cos(theta_in) f) between the points."""
     colour_tolerance: float | None
     """Wanted mean dE00 of the same."""
+    scene: str
+    """In which colours are to be known, and nothing else; empty where all directions matter alike."""
     uniform_1_degree_points: int
     """How many points a uniform grid of 1 degree would have, per sample."""
     doubt: str
@@ -74,7 +76,12 @@ class Preview:
             )
         whole = sum((leg.time for leg in self.legs), start=Expected(0.0, 0.0, 0.0))
         told.append(f"In all about {span(whole)}. {self.doubt}")
-        if self.mode == "dynamic":
+        if self.scene:
+            told.append(
+                f"Samples are refined until the mean dE00 in the scene {self.scene} is expected to be "
+                f"{self.colour_tolerance:g}; directions that it does not ask for are left out."
+            )
+        elif self.mode == "dynamic":
             wanted = self.colour_tolerance
             colours = "" if wanted is None else f" and colours to a mean dE00 of {wanted:g}"
             told.append(
@@ -123,8 +130,9 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DE
         {t: (a, b) for t, (a, b) in blocked_ranges(spec).items() if a < spec.highest and b > spec.lowest},
         spec.mode,
         spec.minimum_step,
-        spec.tolerance,
+        campaign.resolution.tolerance,
         spec.colour_tolerance,
+        "" if campaign.resolution.scene is None else campaign.resolution.scene.scene,
         uniform_grid_size(spec),
         _doubt(campaign, spec),
         (*_limited(spec), *_besides(campaign)),

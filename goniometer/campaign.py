@@ -29,6 +29,7 @@ from goniometer.conditions import Conditions
 from goniometer.geometry import LARGEST_ANGLE, Geometry
 from goniometer.material_file import material_file
 from goniometer.quantities import Angle, Duration, Length
+from goniometer.scene_weights import SceneWeights
 
 Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 """Text that says something."""
@@ -133,8 +134,19 @@ class Resolution(_Model):
     step: Angle = Field(
         default=1.0, ge=SMALLEST_STEP, le=45, description="Distance of directions of the even grid, degrees."
     )
+    scene: SceneWeights | None = Field(
+        default=None,
+        description="File of `goniometer choose --weights`: colour_tolerance is then the mean dE00 in this scene, and "
+        "tolerance does not count.",
+    )
     points: int | None = Field(default=None, ge=1, description="Most directions of a sample; none: no limit.")
     time: Duration | None = Field(default=None, gt=0, description="Most time for a sample, seconds; none: no limit.")
+
+    @model_validator(mode="after")
+    def _has_an_aim(self) -> Self:
+        if self.scene is not None and (self.mode == "uniform" or self.colour_tolerance is None):
+            raise ValueError("a scene needs dynamic resolution and a colour_tolerance")
+        return self
 
 
 class Integration(_Model):
@@ -358,6 +370,8 @@ class Campaign(_Model):
         for part, key in ((content, "rounds"), *((sample, "repeats") for sample in content["samples"])):
             if part[key] == 1:
                 del part[key]
+        if content["resolution"]["scene"] is None:
+            del content["resolution"]["scene"]
         if not content["reference"]["every_round"]:
             del content["reference"]["every_round"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

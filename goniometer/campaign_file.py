@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from goniometer.campaign import Campaign, Sample
 from goniometer.errors import CampaignError
 from goniometer.material_file import material_file
+from goniometer.scene_weights import read_weights
 from goniometer.wording import describe
 
 
@@ -26,7 +27,9 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def load_campaign(path: Path | str) -> Campaign:
-    """Read and check a campaign file; relative paths of a certificate and of materials are taken from its own folder.
+    """Read and check a campaign file; relative paths start at its own folder.
+
+    These are those of a certificate, of materials and of a scene's weights.
 
     Raises `CampaignError`, one line with the file, the key, what is wrong and what would be right.
     """
@@ -47,6 +50,11 @@ def load_campaign(path: Path | str) -> Campaign:
         ) from None
     if not isinstance(content, dict):
         raise CampaignError(f"{path}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
+    resolution = content.get("resolution")
+    if isinstance(resolution, dict) and isinstance(resolution.get("scene"), str):
+        # what a campaign asks for must not change with a file while it runs
+        weights = read_weights(path.parent / resolution["scene"])
+        content["resolution"] = resolution | {"scene": weights.model_dump()}
     try:
         campaign = Campaign.model_validate(content)
     except ValidationError as error:

@@ -22,9 +22,12 @@ from goniometer.interpolant import Interpolant, Prediction, latent, predict
 from goniometer.learning import learnt_process
 from goniometer.plan_spec import (
     SAME,
+    SMALLEST_BATCH,
     PlanSpec,
     blocked_ranges,
     coarse,
+    confirming,
+    incident,
     monitor_direction,
     plan_spec,
     reference_points,
@@ -32,7 +35,7 @@ from goniometer.plan_spec import (
     uniform,
     uniform_grid_size,
 )
-from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, total
+from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, seen_in_scene, total
 from goniometer.route import ordered
 from goniometer.sector import beside
 from goniometer.sweep import Swept, searched, summits, unexplained
@@ -57,9 +60,6 @@ __all__ = [
 
 BATCH = 2
 """Directions of a batch for each incident angle."""
-
-SMALLEST_BATCH = 4
-"""Directions that are measured between two looks at the errors, at the least."""
 
 CONFIRMED = 2.0
 """The same of predictions that were made before their points were measured, up to which they confirm the process."""
@@ -226,9 +226,10 @@ def _batch(
         more = beside(known.process, spec.theta_in, spec.tolerance, visited)
         batch = [g for g in more if spec.lowest <= g.theta_out <= spec.highest]
     else:
-        most = max(BATCH * len(spec.theta_in), SMALLEST_BATCH)
+        each = confirming(spec)
+        most = max(BATCH * each, SMALLEST_BATCH)
         batch = (hidden + _peaks(spec, known, measured, [*pending, *hidden]))[: 2 * most]
-        most = len(spec.theta_in) if accurate else max(most - len(batch), 0)
+        most = each if accurate else max(most - len(batch), 0)
         batch += _chosen(spec, known, measured, [*pending, *batch], most, most if accurate else 1)
     if batch or pending:
         return list(dict.fromkeys(batch)), None
@@ -241,15 +242,15 @@ def _batch(
 def _confirmed(spec: PlanSpec, measured: list[Measured]) -> bool:
     """Whether the latest points were where those before them said they would be, twice running.
 
-    As many points each time as there are incident angles. What the coarse pass says of itself is not believed: a lobe
-    can go through a few points and be wrong between them.
+    As many points each time as there are incident angles, of a scene half as many. What the coarse pass says of itself
+    is not believed: a lobe can go through a few points and be wrong between them.
     """
-    each = len(spec.theta_in)
+    each = confirming(spec)
     return _foretold(spec, measured, each) and _foretold(spec, measured[:-each], each)
 
 
 def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
-    """Whether the last `count` points lie where the others predict them."""
+    """Whether the last `count` points lie where the others predict them, in a scene as nearly as it asks for."""
     before, latest = measured[:-count], measured[-count:]
     latest = [p for p in latest if np.all(np.isfinite(p.values))]
     known = _known(spec, before)
@@ -259,6 +260,11 @@ def _foretold(spec: PlanSpec, measured: list[Measured], count: int) -> bool:
     at = np.array([p.geometry.theta_in for p in latest]), np.array([p.geometry.theta_out for p in latest])
     there = predict(process, *at)
     values, noise = np.array([p.values for p in latest]), np.array([p.noise for p in latest])
+    if spec.colour_slope is not None and spec.colour_tolerance is not None and spec.importance is not None:
+        # as if all directions were as wrong as these, which were the least known ones
+        wrong = np.mean((latent(values, process.shape.offset) - there.latent) ** 2, axis=1)
+        seen = np.average(wrong, weights=spec.importance(*at))
+        return bool(spec.colour_slope * np.sqrt(seen) <= spec.colour_tolerance)
     read_noise = process.shape.read_noise(*at, values, noise)[:, None]
     u2 = (there.sigma * there.trust)[:, None] ** 2 * np.diag(process.spread) + read_noise**2
     return bool(np.mean((latent(values, process.shape.offset) - there.latent) ** 2 / u2) < CONFIRMED)
@@ -297,12 +303,14 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     values, noise = np.array([p.values for p in valued]), np.array([p.noise for p in valued])
     process = learnt_process(theta_in, theta_out, values, noise, max(len(coarse(spec)), FEWEST), spec.u_angle)
     shape = process.shape
-    where = candidates({t: segments(spec, t) for t in spec.theta_in}, shape)
+    where = candidates({t: segments(spec, t) for t in incident(spec)}, shape)
     if spec.importance is not None:
         share = where.share * spec.importance(where.theta_in, where.theta_out)
         where = replace(where, share=share / share.sum())
     predicted = predict(process, where.theta_in, where.theta_out)
     errors = expected_errors(process, where, predicted)
+    if spec.colour_slope is not None:
+        errors = seen_in_scene(errors, where, spec.colour_slope)
     goals = np.maximum(_wanted(spec), errors.noise_floor)
     return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
 
@@ -330,6 +338,8 @@ def _chosen(
         )
         predicted = predict(known.process, where.theta_in, where.theta_out)
         errors = expected_errors(known.process, where, predicted)
+        if spec.colour_slope is not None:
+            errors = seen_in_scene(errors, where, spec.colour_slope)
     allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
     later = range(count, count + len(pending))
     picked = choose(
@@ -369,6 +379,8 @@ def _peaks(spec: PlanSpec, known: _Known, measured: list[Measured], pending: Seq
 
     Between rough facets that shade each other it lies beyond the mirror direction.
     """
+    if spec.colour_slope is not None:
+        return []  # a scene says itself where it needs to know
     level = known.predicted.latent.mean(axis=1)
     near = max(spec.minimum_step, 0.5 * known.process.shape.lobe.half_width)
     allowed = _apart(known.where, [*(p.geometry for p in measured), *pending], near)

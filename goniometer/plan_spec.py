@@ -1,5 +1,6 @@
 """What a plan is asked for, and the directions that are certain before anything is measured."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,6 +18,9 @@ OFFSETS = (1.0, 2.5, 6.0, 14.0, 30.0)
 
 ORDINARY = Motion()
 """A bench of ordinary speed."""
+
+SMALLEST_BATCH = 4
+"""Directions that are measured between two looks at the errors, at the least."""
 
 LEAST_COARSE = 7
 """Directions of a coarse pass over all incident angles, at the least, if they may lie so close."""
@@ -52,6 +56,9 @@ class PlanSpec:
     importance: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     """How much directions matter: a non-negative number [points] for each theta_in and theta_out [points]; None where
     all matter alike. Errors are averaged with it, so directions of importance 0 are not measured for their own sake."""
+    colour_slope: float | None = None
+    """Mean dE00 for each unit of error of ln(cos f), alike in all directions, where these are seen in a scene and not
+    each by itself; None where they are."""
     u_angle: float = 0.0
     """Standard uncertainty of a stage's position: a point on a steep flank cannot tell more than that."""
     motion: Motion = ORDINARY
@@ -64,17 +71,20 @@ def plan_spec(campaign: Campaign, motion: Motion = ORDINARY, u_angle: float = 0.
     `u_angle` is the standard uncertainty of a stage's position, degrees.
     """
     wanted = campaign.resolution
+    scene = wanted.scene
     return PlanSpec(
         campaign.theta_in,
         campaign.outgoing.start,
         campaign.outgoing.stop,
-        wanted.tolerance,
+        wanted.tolerance if scene is None else math.inf,
         wanted.step,
         wanted.minimum_step,
         wanted.colour_tolerance,
         wanted.mode,
         wanted.points,
         wanted.time,
+        importance=None if scene is None else scene.importance,
+        colour_slope=None if scene is None else scene.colour_slope,
         u_angle=u_angle,
         motion=motion,
     )
@@ -144,14 +154,58 @@ def _without(angles: list[float], others: list[float]) -> list[float]:
     return [a for a in angles if all(abs(a - b) > SAME for b in others)]
 
 
+MATTERS = 0.04
+"""Part of the weight of all incident angles that one must have in a scene to be visited."""
+
+FIRST_IN_SCENE = 8
+"""About how many directions a scene is begun with, shared out by the weight of the incident angles."""
+
+_MOST_OF_ONE = 3
+"""Of which an incident angle gets no more."""
+
+
+def incident(spec: PlanSpec) -> tuple[float, ...]:
+    """The incident angles that are visited, degrees: all, or in a scene those that matter."""
+    return spec.theta_in if spec.colour_slope is None else tuple(_first_in_scene(spec))
+
+
+def confirming(spec: PlanSpec) -> int:
+    """How many points must be where they were expected, twice running, before a sampling is called accurate."""
+    return len(spec.theta_in) if spec.colour_slope is None else max(len(incident(spec)) // 2, SMALLEST_BATCH)
+
+
+def _first_in_scene(spec: PlanSpec) -> dict[float, FloatArray]:
+    """Of each incident angle that matters, one to three theta_out that divide what matters of it evenly, degrees."""
+    importance = spec.importance
+    assert importance is not None  # a scene has weights
+    rows: dict[float, tuple[FloatArray, FloatArray]] = {}
+    for t in spec.theta_in:
+        angles = np.concatenate([np.linspace(a, b, max(round(b - a), 1) + 1) for a, b in segments(spec, t)])
+        running = np.cumsum(importance(np.full_like(angles, t), angles))
+        rows[t] = running, angles
+    total = sum(float(running[-1]) for running, _ in rows.values())
+    found: dict[float, FloatArray] = {}
+    for t, (running, angles) in rows.items():
+        share = float(running[-1]) / total
+        if share >= MATTERS:
+            count = min(max(round(FIRST_IN_SCENE * share), 1), _MOST_OF_ONE)
+            at = (np.arange(count) + 0.5) / count * running[-1]
+            found[t] = np.round(np.interp(at, running, angles), 2)
+    return found
+
+
 def coarse(spec: PlanSpec) -> list[Geometry]:
-    """Directions of the coarse pass, by incident angle and theta_out."""
-    few = len(OFFSETS) if len(spec.theta_in) < 4 else 1
+    """Directions of the coarse pass, by incident angle and theta_out; in a scene only such that matter."""
+    if spec.colour_slope is not None:
+        few = [Geometry(t, float(a)) for t, angles in _first_in_scene(spec).items() for a in angles]
+        few = [g for g in dict.fromkeys(few) if not g.blocked]
+        return sorted([*few, *_halved(spec, few)])
+    number = len(OFFSETS) if len(spec.theta_in) < 4 else 1
     found: list[Geometry] = []
     for i, t in enumerate(spec.theta_in):
         side = 1 if i % 2 else -1
-        chosen = [OFFSETS[(i + k) % len(OFFSETS)] for k in range(few)]
-        opposite = [OFFSETS[(i + 2 + k) % len(OFFSETS)] for k in range(few)]
+        chosen = [OFFSETS[(i + k) % len(OFFSETS)] for k in range(number)]
+        opposite = [OFFSETS[(i + 2 + k) % len(OFFSETS)] for k in range(number)]
         beside = [t + side * offset for offset in chosen] + [t - side * offset for offset in opposite]
         angles = _within(spec, t, [t, *beside])
         gaps = [(b - a, a, b) for low, high in segments(spec, t) for a, b in _pairs(angles, low, high)]

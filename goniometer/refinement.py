@@ -7,7 +7,7 @@ measurement's noise lets it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,16 @@ def expected_errors(process: Interpolant, where: Candidates, predicted: Predicti
     return Errors(
         predicted.sigma * predicted.trust, noise, per_sigma, floor, _mean_of_length(float(np.clip(degrees, 1, 3)))
     )
+
+
+def seen_in_scene(errors: Errors, where: Candidates, colour_slope: float) -> Errors:
+    """The errors where colours are those of a scene's image, in which `where.share` says how much a direction shows.
+
+    `colour_slope` is the mean dE00 of the image for each unit of error of ln(cos f) in all directions together.
+    """
+    per_sigma = np.column_stack([errors.per_sigma[:, 0], np.full(where.share.size, colour_slope)])
+    floor = np.array([errors.noise_floor[0], colour_slope * float(np.sqrt(where.share @ errors.noise**2))])
+    return replace(errors, per_sigma=per_sigma, noise_floor=floor)
 
 
 def _mean_of_length(degrees: float) -> float:

@@ -1,0 +1,180 @@
+"""A measured BRDF as a table over the half vector, for directions out of the plane in which it was measured.
+
+An isotropic surface of microfacets has f = V(i, o) Q(theta_h, theta_d): V the visibility, Smith's masking over
+4 cos_i cos_o, and Q what light a facet reflects. A direction out of the plane takes Q from the one in the plane with
+the same theta_h and theta_d, theta_in = theta_d + theta_h and theta_out = theta_d - theta_h (Rusinkiewicz 1998). Where
+these two exceed a right angle there is no such direction: the table then continues with its last value, and what a
+scene asks of it there is said to be not measurable (`analysis.asked`).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cholesky
+
+from analysis.colour import COLOUR_RANGE, observer, xyz_weights
+from analysis.directions import Directions, in_plane, round_aperture, through_aperture
+from analysis.distributions import lobe, ndf
+from drivers.arrays import FloatArray
+from goniometer.between import Between, interpolate
+from goniometer.dataset import Dataset
+from goniometer.geometry import LARGEST_ANGLE
+from goniometer.kernel import coordinates, covariance, variance
+
+ROWS, COLUMNS = 72, 31
+"""Nodes in theta_h, dense in the lobe, and in theta_d."""
+
+DRAWS = 40
+"""Of what the measurement does not know."""
+
+_MARGIN = 12.0
+_DARKEST = 1e-7
+
+
+@dataclass(frozen=True)
+class BrdfTable:
+    """ln Q at nodes, between which it is linear."""
+
+    theta_h: FloatArray
+    """[rows] degrees, ascending from 0."""
+    theta_d: FloatArray
+    """[columns] degrees, ascending from 0, even."""
+    wavelengths: FloatArray
+    """[wavelengths] nm."""
+    log_q: FloatArray
+    """[rows, columns, wavelengths]"""
+    alpha: float | None
+    """Roughness of the visibility; None where Q is the BRDF itself, as of a surface that scatters below it."""
+
+    def __call__(self, directions: Directions, wavelengths: FloatArray) -> FloatArray:
+        """BRDF [vertices, wavelengths], 1/sr; linear between the table's wavelengths, constant beyond them."""
+        place = between_nodes(self, directions)
+        upper = np.clip(np.searchsorted(self.wavelengths, wavelengths), 1, self.wavelengths.size - 1)
+        step = self.wavelengths[upper] - self.wavelengths[upper - 1]
+        part = np.clip((wavelengths - self.wavelengths[upper - 1]) / step, 0, 1)
+        at = self.log_q[..., upper - 1] * (1 - part) + self.log_q[..., upper] * part
+        above = (directions.cos_i > 0) & (directions.cos_o > 0)
+        return np.asarray((above * visibility(directions, self.alpha))[:, None] * np.exp(at_nodes(at, place)))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a scene would look like by the measurement, and what the measurement does not know of it."""
+
+    table: BrdfTable
+    draws: FloatArray
+    """[draws, rows, columns] errors of ln f that are as probable as the measurement's uncertainty says."""
+
+
+def visibility(directions: Directions, alpha: float | None) -> FloatArray:
+    """[...] Smith's masking of GGX over 4 cos_i cos_o; one without `alpha`."""
+    if alpha is None:
+        return np.ones_like(directions.cos_i)
+    return np.asarray(lobe(directions, alpha) / ndf(np.maximum(directions.cos_m, 1e-3), alpha))
+
+
+Place = tuple[FloatArray, FloatArray]
+"""Fractional row and column, [vertices] each."""
+
+
+def between_nodes(table: BrdfTable, directions: Directions) -> Place:
+    """Where directions lie in a table."""
+    theta_h = np.degrees(np.arccos(np.clip(directions.cos_m, 0, 1)))
+    theta_d = np.degrees(np.arccos(np.clip(directions.cos_d, 0, 1)))
+    row = np.interp(theta_h, table.theta_h, np.arange(table.theta_h.size))
+    return row, np.asarray(theta_d / table.theta_d[-1] * (table.theta_d.size - 1))
+
+
+def at_nodes(values: FloatArray, place: Place) -> FloatArray:
+    """Bilinear [vertices, ...] of values [rows, columns, ...]."""
+    row = np.minimum(place[0].astype(int), values.shape[0] - 2)
+    column = np.minimum(place[1].astype(int), values.shape[1] - 2)
+    flat = values.reshape(values.shape[0] * values.shape[1], -1)
+    r, c = (place[0] - row)[:, None], (place[1] - column)[:, None]
+    first = row * values.shape[1] + column
+    below = flat[first] * (1 - c) + flat[first + 1] * c
+    above = flat[first + values.shape[1]] * (1 - c) + flat[first + values.shape[1] + 1] * c
+    return np.asarray(below * (1 - r) + above * r).reshape(len(row), *values.shape[2:])
+
+
+def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 1) -> Reference:
+    """The BRDF that a dataset measured, read between its points by the process that interpolates it.
+
+    `alpha` is about the roughness: the table is dense in such a lobe, and what the aperture did to it is undone as for
+    GGX. Only of a metal does Q come without its visibility. Raises `CalibrationError` for too few points, and
+    `OutOfRange` for wavelengths that a colour cannot be told from.
+    """
+    xyz_weights(dataset.wavelengths)  # which refuses those without a colour
+    seen = _visible(dataset)
+    theta_h, theta_d = table_nodes(alpha)
+    in_angle, out_angle = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
+    read = interpolate(seen, in_angle, out_angle)
+    directions = in_plane(in_angle, out_angle)
+    masking = alpha if metal else None
+    brdf = np.maximum(read.brdf, _DARKEST)
+    if metal and dataset.aperture > 0:
+        aperture = round_aperture(dataset.aperture, rings=12, spokes=24)
+        through = lobe(through_aperture(in_angle, out_angle, aperture), alpha) @ aperture.weights
+        brdf = brdf * (lobe(directions, alpha) / through)[:, None]
+    shape = (theta_h.size, theta_d.size)
+    log_q = np.log(brdf / visibility(directions, masking)[:, None])
+    table = BrdfTable(theta_h, theta_d, seen.wavelengths, log_q.reshape(*shape, -1), masking)
+    return Reference(table, _draws(read, seed).reshape(DRAWS, *shape))
+
+
+def folded(theta_h: FloatArray, theta_d: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """theta_in and theta_out, degrees, of the direction in the plane with these angles; the nearest where none has.
+
+    >>> folded(np.array([10.0, 40.0]), np.array([30.0, 70.0]))
+    (array([40., 85.]), array([20.,  5.]))
+    """
+    h = np.minimum(theta_h, LARGEST_ANGLE)
+    d = np.minimum(theta_d, LARGEST_ANGLE - h)
+    return h + d, d - h
+
+
+def table_nodes(alpha: float) -> tuple[FloatArray, FloatArray]:
+    """theta_h [rows] and theta_d [columns] of a table for a lobe of about this roughness, degrees."""
+    width = max(math.degrees(math.atan(alpha)), 0.25)
+    warped = np.linspace(0, np.arcsinh(90 / width), ROWS)
+    theta_h = width * np.sinh(warped)
+    theta_h[-1] = 90.0
+    return theta_h, np.linspace(0, 90, COLUMNS)
+
+
+def _visible(dataset: Dataset) -> Dataset:
+    """The dataset at the wavelengths that make a colour, and at points that have all of them."""
+    low, high = COLOUR_RANGE[0] - _MARGIN, COLOUR_RANGE[1] + _MARGIN
+    bands = np.flatnonzero((dataset.wavelengths >= low) & (dataset.wavelengths <= high))
+    observer_needs = dataset.wavelengths[bands]
+    # every third of a fine grid: reflectances are smooth, and light and observer are not thinned
+    stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
+    bands = np.union1d(bands[::stride], bands[-1:])
+    return replace(
+        dataset,
+        wavelengths=dataset.wavelengths[bands],
+        brdf=dataset.brdf[:, bands],
+        sources=tuple(replace(source, values=source.values[:, bands]) for source in dataset.sources),
+    )
+
+
+def _draws(read: Between, seed: int) -> FloatArray:
+    """[draws, nodes] errors of ln f, as of all wavelengths together, weighted as the eye does.
+
+    What comes from reading between the points, and from their noise, is alike in neighbouring directions by the
+    covariance of the process; what the wavelengths share of the measurement is one number for all directions.
+    """
+    luminous = observer(read.wavelengths)[:, 1]
+    luminous = luminous / luminous.sum()
+    level = np.maximum(read.brdf, _DARKEST)
+    own, total = ((np.minimum(u / level, 1.0)) @ luminous for u in (read.u, read.u_total))
+    shared = np.sqrt(np.maximum(total**2 - own**2, 0.0))
+    at = coordinates(read.theta_in, read.theta_out, read.shape.lobe)
+    sigma = np.sqrt(variance(at, read.shape.scales))
+    correlation = covariance(at, at, read.shape.scales) / np.outer(sigma, sigma)
+    correlation[np.diag_indices_from(correlation)] += 1e-6
+    factor = cholesky(correlation, lower=True, overwrite_a=True, check_finite=False)
+    random = np.random.default_rng(seed)
+    fields = random.standard_normal((DRAWS, own.size)) @ factor.T
+    return np.asarray(own * fields + shared * random.standard_normal((DRAWS, 1)))

@@ -1,0 +1,298 @@
+"""Scenes for Mitsuba 3: their vertices, and what they look like with a model of the ladder.
+
+A scene is a file of Mitsuba's own, in which the BSDF of the material has the id "sample", or one of `analysis.scene`
+written as such. Mitsuba runs in a process of its own, for it may be missing, and a fault in it must not end this one.
+Light is traced with all that the scene scatters; its spectrum is known at four wavelengths and taken as that of D65
+times what is linear between these, which lamps with lines in their spectrum are not.
+"""
+
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from analysis.bsdf_fields import bsdf_content
+from analysis.colour import illuminant, observer
+from analysis.directions import from_vectors
+from analysis.errors import RenderError, SceneError
+from analysis.scene import Scene, Shape
+from analysis.scene_rays import WAVELENGTHS, tangents
+from analysis.vertices import Reflectance, Vertices
+from drivers.arrays import FloatArray
+from goniometer.errors import InputError
+
+PIXELS = 64
+"""Most pixels of a side to which the film of a scene is reduced."""
+
+LIGHT_NODES = np.array([440.0, 515.0, 590.0, 665.0])
+"""Wavelengths at which the light of a traced scene is known, nm; those of `analysis.mitsuba_worker`."""
+
+_CIE_Y = 106.856895
+"""Integral of the observer's Y, nm, by which Mitsuba's XYZ are divided."""
+
+_STEP = float(WAVELENGTHS[1] - WAVELENGTHS[0])
+_SKY_ROWS = 512
+
+
+@dataclass(frozen=True)
+class MitsubaScene:
+    """A scene as Mitsuba reads it, its material exchangeable."""
+
+    xml: str
+    resources: Path
+    """Folder from which its files are named."""
+    white: FloatArray
+    """[wavelengths of `analysis.scene_rays.WAVELENGTHS`] spectrum of what is white."""
+    images: dict[str, FloatArray]
+    """Pictures by file name that it needs besides, [rows, columns, 3]."""
+    exposure: float | None
+
+
+def read_mitsuba(path: Path) -> MitsubaScene:
+    """A scene file of Mitsuba, its film made small and its samples those of `analysis.mitsuba_worker`.
+
+    Raises `InputError` for a file that is none, or has no BSDF with the id "sample", no film or several cameras.
+    """
+    try:
+        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: the scene cannot be read: {error.strerror or error}") from None
+    except (UnicodeDecodeError, ElementTree.ParseError) as error:
+        raise InputError(f"{path}: the scene is not valid XML: {error}") from None
+    found = [element for element in root.iter("bsdf") if element.get("id") == "sample"]
+    if len(found) != 1:
+        raise InputError(
+            f'{path}: {len(found)} BSDFs have the id "sample"; give it to the one that the material is to replace'
+        )
+    films = list(root.iter("film"))
+    if len(films) != 1:
+        raise InputError(f"{path}: a scene needs one sensor with one film, and has {len(films)}")
+    defaults = {e.get("name"): e.get("value", "") for e in root.iter("default")}
+    columns, rows = (_film_side(films[0], side, defaults, path) for side in ("width", "height"))
+    factor = min(1.0, PIXELS / max(columns, rows))
+    _become_ours(found[0])
+    _small_film(films[0], max(round(columns * factor), 4), max(round(rows * factor), 4))
+    return MitsubaScene(
+        ElementTree.tostring(root, encoding="unicode"),
+        path.resolve().parent,
+        illuminant("D65", WAVELENGTHS),
+        {},
+        None,
+    )
+
+
+def _film_side(film: ElementTree.Element, side: str, defaults: dict[str | None, str], path: Path) -> int:
+    given = next((e.get("value", "") for e in film if e.get("name") == side), "768" if side == "width" else "576")
+    for name, value in defaults.items():
+        given = given.replace(f"${name}", value)
+    if not given.isdecimal() or int(given) == 0:
+        raise InputError(f'{path}: the {side} of the film, "{given}", is no number of pixels')
+    return int(given)
+
+
+def _small_film(film: ElementTree.Element, columns: int, rows: int) -> None:
+    film.clear()
+    film.set("type", "hdrfilm")
+    ElementTree.SubElement(film, "integer", name="width", value=str(columns))
+    ElementTree.SubElement(film, "integer", name="height", value=str(rows))
+    ElementTree.SubElement(film, "string", name="pixel_format", value="xyz")
+    ElementTree.SubElement(film, "rfilter", type="box")
+
+
+def _become_ours(element: ElementTree.Element) -> None:
+    element.clear()
+    element.set("type", "measured")
+    element.set("id", "sample")
+    ElementTree.SubElement(element, "string", name="filename", value="MATERIAL.bsdf")
+
+
+def write_mitsuba(scene: Scene) -> MitsubaScene:
+    """A scene of `analysis.scene` for Mitsuba; light is scattered once, as there.
+
+    Raises `RenderError` for a sky of another illuminant than D65, which Mitsuba has no pictures for.
+    """
+    root = ElementTree.Element("scene", version="3.0.0")
+    integrator = ElementTree.SubElement(root, "integrator", type="direct")
+    ElementTree.SubElement(integrator, "boolean", name="hide_emitters", value="true")
+    sensor = ElementTree.SubElement(root, "sensor", type="perspective")
+    camera = scene.camera
+    ElementTree.SubElement(sensor, "float", name="fov", value=repr(camera.field_of_view))
+    ElementTree.SubElement(sensor, "string", name="fov_axis", value="x")
+    place = ElementTree.SubElement(sensor, "transform", name="to_world")
+    ElementTree.SubElement(
+        place, "lookat", origin=_list(camera.position), target=_list(camera.target), up=_list(camera.up)
+    )
+    _small_film(ElementTree.SubElement(sensor, "film"), *camera.pixels)
+    _become_ours(ElementTree.SubElement(root, "bsdf"))
+    black = ElementTree.SubElement(root, "bsdf", type="diffuse", id="black")
+    ElementTree.SubElement(black, "spectrum", name="reflectance", value="0")
+    for shapes, bsdf in ((scene.material, "sample"), (scene.blockers, "black")):
+        for shape in shapes:
+            ElementTree.SubElement(_shape(root, shape), "ref", id=bsdf)
+    spectrum = illuminant(scene.illuminant, WAVELENGTHS)
+    images = {}
+    for number, light in enumerate(scene.lights):
+        if light.sky is not None:
+            if scene.illuminant != "D65":
+                raise RenderError("Mitsuba can render a sky under D65 only; give the scene this illuminant.")
+            images[f"sky{number}.exr"] = _sky(*light.sky)
+            emitter = ElementTree.SubElement(root, "emitter", type="envmap")
+            ElementTree.SubElement(emitter, "string", name="filename", value=f"sky{number}.exr")
+            upright = ElementTree.SubElement(emitter, "transform", name="to_world")
+            ElementTree.SubElement(upright, "rotate", x="1", angle="90")
+            # of a picture, 1 is D65 with a Y of 1
+            level = float(spectrum @ observer(WAVELENGTHS)[:, 1]) * _STEP / _CIE_Y
+            ElementTree.SubElement(emitter, "float", name="scale", value=repr(level))
+            continue
+        if light.sun is not None:
+            emitter, name = ElementTree.SubElement(root, "emitter", type="directional"), "irradiance"
+            ElementTree.SubElement(emitter, "vector", name="direction", value=_list([-v for v in light.sun]))
+            power = light.power
+        elif light.lamp is not None:
+            emitter, name = ElementTree.SubElement(root, "emitter", type="point"), "intensity"
+            ElementTree.SubElement(emitter, "point", name="position", value=_list(light.lamp))
+            power = light.power
+        else:
+            assert light.environment is not None  # one of the four is given
+            emitter, name = ElementTree.SubElement(root, "emitter", type="constant"), "radiance"
+            power = light.environment
+        pairs = ", ".join(f"{w:g}:{v:.8g}" for w, v in zip(WAVELENGTHS, power * spectrum, strict=True))
+        ElementTree.SubElement(emitter, "spectrum", name=name, value=pairs)
+    return MitsubaScene(ElementTree.tostring(root, encoding="unicode"), Path.cwd(), spectrum, images, scene.exposure)
+
+
+def _shape(root: ElementTree.Element, shape: Shape) -> ElementTree.Element:
+    if shape.sphere is not None:
+        element = ElementTree.SubElement(root, "shape", type="sphere")
+        ElementTree.SubElement(element, "point", name="center", value=_list(shape.centre))
+        ElementTree.SubElement(element, "float", name="radius", value=repr(shape.sphere))
+        return element
+    normal = np.asarray(shape.normal, dtype=float)
+    normal = normal / np.linalg.norm(normal)
+    first, second = tangents(normal)
+    if shape.disc is not None:
+        kind, sides = "disk", (shape.disc, shape.disc)
+    else:
+        assert shape.rectangle is not None  # one of the three is given
+        kind, sides = "rectangle", (shape.rectangle[0] / 2, shape.rectangle[1] / 2)
+    element = ElementTree.SubElement(root, "shape", type=kind)
+    turned = np.eye(4)
+    turned[:3] = np.column_stack([first * sides[0], second * sides[1], normal, shape.centre])
+    place = ElementTree.SubElement(element, "transform", name="to_world")
+    ElementTree.SubElement(place, "matrix", value=" ".join(f"{v:.10g}" for v in turned.ravel()))
+    return element
+
+
+def _sky(zenith: float, horizon: float) -> FloatArray:
+    """[rows, columns, 3] an environment map that is brighter above."""
+    height = np.cos(math.pi * (np.arange(_SKY_ROWS) + 0.5) / _SKY_ROWS)
+    radiance = np.where(height >= 0, horizon + (zenith - horizon) * height, 0.0)
+    return np.asarray(np.broadcast_to(radiance[:, None, None], (_SKY_ROWS, 8, 3)))
+
+
+def _list(values: Any) -> str:
+    return ", ".join(f"{v:.10g}" for v in values)
+
+
+@dataclass(frozen=True)
+class Material:
+    """A reflectance as Mitsuba is to render it."""
+
+    reflectance: Reflectance
+    nodes: FloatArray
+    """[nodes] wavelengths, nm, between which it is linear and beyond which it is constant."""
+    alpha: float
+    """Roughness of its lobe; 1 where it has none."""
+
+    def content(self) -> bytes:
+        """The file that the plugin `measured` reads."""
+        if self.nodes.size > 1:
+            return bsdf_content(self.reflectance, self.alpha, self.nodes)
+        # the plugin wants two wavelengths
+        return bsdf_content(
+            lambda directions, two: self.reflectance(directions, np.repeat(self.nodes, two.size)),
+            self.alpha,
+            np.array([500.0, 600.0]),
+        )
+
+
+def trace_mitsuba(scene: MitsubaScene, stand_in: Material, samples: int = 64, seed: int = 1) -> Vertices:
+    """The vertices of a Mitsuba scene, light that other surfaces scatter included.
+
+    `stand_in` is the material where its own light comes back to it, and its lobe tells where light is looked for.
+    Raises `RenderError` where Mitsuba is not there or fails, and `SceneError` where the scene shows nothing of the
+    material.
+    """
+    job = {"what": "trace", "samples": samples, "seed": seed, "alpha": stand_in.alpha}
+    found = _run(scene, job, [stand_in])
+    if not found["complete"].any():
+        raise SceneError('No pixel of the scene shows the material "sample" alone, directly and from its front.')
+    inside = found["complete"][found["pixel"]]
+    if not inside.any():
+        raise SceneError("No light of the scene falls on the material where the camera sees it.")
+    rows, columns = (int(v) for v in found["size"])
+    up = np.array([0.0, 0.0, 1.0])
+    hats = np.stack([np.interp(WAVELENGTHS, LIGHT_NODES, row) for row in np.eye(LIGHT_NODES.size)])
+    at_nodes = np.interp(LIGHT_NODES, WAVELENGTHS, scene.white)
+    return Vertices(
+        rows=rows,
+        columns=columns,
+        pixel=found["pixel"][inside].astype(np.intp),
+        half=found["half"][inside].astype(np.intp),
+        directions=from_vectors(found["wo"][inside].astype(float), found["wi"][inside].astype(float), up),
+        weight=found["weight"][inside].astype(float),
+        wavelengths=WAVELENGTHS,
+        light=hats * (scene.white / at_nodes[:, None]),
+        white=scene.white,
+        target=found["complete"],
+        exposure=scene.exposure,
+    )
+
+
+def render(scene: MitsubaScene, materials: list[Material], samples: int, seed: int = 1) -> list[FloatArray]:
+    """[rows x columns, 3] XYZ of a scene with each material, the white having Y = 1, all with the same random numbers.
+
+    Pixels that came out as no number are NaN. Raises `RenderError` where Mitsuba is not there or fails.
+    """
+    found = _run(scene, {"what": "render", "samples": samples, "seed": seed, "alpha": 0.0}, materials)
+    white = float(scene.white @ observer(WAVELENGTHS)[:, 1]) * _STEP
+    return [found[f"{i}.bsdf"].reshape(-1, 3).astype(float) * (_CIE_Y / white) for i in range(len(materials))]
+
+
+def _run(scene: MitsubaScene, job: dict[str, Any], materials: list[Material]) -> dict[str, Any]:
+    """Let the worker do a job, and return what it leaves."""
+    with tempfile.TemporaryDirectory(prefix="goniometer-") as name:
+        folder = Path(name)
+        for i, material in enumerate(materials):
+            (folder / f"{i}.bsdf").write_bytes(material.content())
+        for image, values in scene.images.items():
+            np.save(folder / f"{image}.npy", values)
+        whole = job | {
+            "materials": [f"{i}.bsdf" for i in range(len(materials))],
+            "resources": str(scene.resources),
+            "images": list(scene.images),
+        }
+        (folder / "job.json").write_text(json.dumps(whole))
+        (folder / "scene.xml").write_text(scene.xml, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "-m", "analysis.mitsuba_worker", name], capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0:
+            raise RenderError(_why(done.stderr))
+        with np.load(folder / "out.npz") as arrays:
+            return {key: arrays[key] for key in arrays.files}
+
+
+def _why(told: str) -> str:
+    """What is wrong, from the last words of the worker."""
+    last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it said nothing")
+    if "No module named 'mitsuba'" in told:
+        return 'Mitsuba is not installed; install the extra "render": pip install "goniometer[render]".'
+    return f"Mitsuba failed: {last}"
