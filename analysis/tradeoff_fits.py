@@ -172,7 +172,7 @@ def _local_chart(
             "lmfit, one by one",
             _by_turns(
                 local_fit,
-                [_rows(_at(each, _spread(all_of_them, count)), rows) for each in draws],
+                [rows_of(_at(each, _spread(all_of_them, count)), rows) for each in draws],
                 conductor,
                 LAMBDA_N,
                 "lmfit",
@@ -220,8 +220,8 @@ def _at(dataset: Dataset, chosen: IndexArray) -> Dataset:
     )
 
 
-def _rows(dataset: Dataset, chosen: IndexArray) -> Dataset:
-    """Some of the points of `dataset`."""
+def rows_of(dataset: Dataset, chosen: IndexArray) -> Dataset:
+    """`dataset` at some of its points."""
     return replace(
         dataset,
         theta_in=dataset.theta_in[chosen],

@@ -11,12 +11,16 @@ from analysis.fresnel import load_conductor
 from analysis.tradeoff import Chart, charts_json
 from analysis.tradeoff_figure import tradeoff_chapter
 from analysis.tradeoff_fits import fit_charts
+from analysis.tradeoff_models import model_charts
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
 from api.simulations import Page, write_page
 from api.terminal import screen
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
+from goniometer.plan_spec import PlanSpec
 from simulators.materials import material, true_brdf
+from simulators.tabulated import Tabulated
+from simulators.tabulated_file import tabulated
 from simulators.topography import topography
 from simulators.tradeoff_bench import drawn
 from simulators.tradeoff_scans import scan_charts
@@ -28,8 +32,12 @@ class Kind(StrEnum):
 
     SCANS = "scans"
     FITS = "fits"
+    MODELS = "models"
     SIMULATIONS = "simulations"
 
+
+LARGEST_INCIDENT = 80.0
+"""Of the scans that are charted, degrees."""
 
 THETA_IN = tuple(float(angle) for angle in range(0, 81, 10))
 
@@ -48,19 +56,20 @@ def tradeoff_command(
     ] = None,
     sample: Annotated[str, typer.Option(help="Material of the simulated bench, whose truth is known.")] = "sample-4",
     surface: Annotated[str, typer.Option(help="Surface of the simulations, as in goniometer simulate.")] = "sample-1",
+    dielectric: Annotated[bool, typer.Option("--dielectric", help="Models: take the ladder of a dielectric.")] = False,
     rounds: Annotated[int, typer.Option(min=1, help="How often everything is timed, with other noise each time.")] = 5,
     page: Page = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
-    """Chart speed against accuracy on this machine: scans, fits, simulations."""
+    """Chart speed against accuracy on this machine: scans, fits, models and renderings, simulations."""
     own = None
     if dataset is not None:
         store = existing(database)
         own = store.dataset(chosen_dataset(store, dataset))
     charts: list[Chart] = []
     for kind in dict.fromkeys(kinds or Kind):
-        charts += _charts(kind, own, sample, surface, rounds)
+        charts += _charts(kind, own, sample, surface, dielectric, rounds)
     path = None if page is None else str(write_page(page, "Speed against accuracy", _chapters(charts)).path)
     if as_json:
         emit({"charts": charts_json(charts), "page": path})
@@ -73,19 +82,24 @@ def tradeoff_command(
         out.print(f"Wrote {path}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _charts(kind: Kind, own: Dataset | None, sample: str, surface: str, rounds: int) -> list[Chart]:
-    if kind is Kind.FITS:
-        if own is not None:
-            return fit_charts([own], load_conductor(), None, rounds, _tell)
-        datasets, known = drawn(sample, material(sample), rounds)
+def _charts(kind: Kind, own: Dataset | None, sample: str, surface: str, dielectric: bool, rounds: int) -> list[Chart]:
+    if kind in {Kind.FITS, Kind.MODELS}:
+        datasets, known = ([own], None) if own is not None else drawn(sample, material(sample), rounds)
+        if kind is Kind.MODELS:
+            return model_charts(datasets[0], load_conductor(), dielectric, rounds, _tell)
         return fit_charts(datasets, load_conductor(), known, rounds, _tell)
     if kind is Kind.SCANS:
-        what = material(sample)
+        what = material(sample) if own is None else tabulated(own)
 
         def truth(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
             return true_brdf(what, theta_in, theta_out, wavelengths) * np.cos(np.radians(theta_in))[:, None]
 
-        return scan_charts(sample, truth, THETA_IN, rounds, _tell)
+        spec = PlanSpec(THETA_IN)
+        if isinstance(what, Tabulated):
+            angles = tuple(row.theta_in for row in what.rows if row.theta_in <= LARGEST_INCIDENT)
+            low, high = what.range_out
+            spec = PlanSpec(angles, max(low, spec.lowest), min(high, spec.highest))
+        return scan_charts(sample if own is None else own.sample, truth, spec, rounds, _tell)
     made = topography(surface, None, None, 1, micro=False)
     return simulation_charts(made.name, made.field, rounds, _tell)
 

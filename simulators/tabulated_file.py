@@ -35,10 +35,8 @@ def write_tabulated(path: Path, dataset: Dataset) -> None:
     Raises `UnfitTable` where an incident angle has fewer than two directions or a wavelength too few values, and
     `CalibrationError` where a gap has too few points around it to be filled.
     """
-    rows, filled = _completed(dataset)
-    origin = {"dataset_sha256": dataset.content_hash} | {
-        name: dataset.lineage[name] for name in ("simulated", "imported", "scan") if name in dataset.lineage
-    }
+    table = tabulated(dataset)
+    rows = table.rows
     content = io.BytesIO()  # a file that is named otherwise than .npz would get another name
     np.savez_compressed(
         content,
@@ -49,10 +47,19 @@ def write_tabulated(path: Path, dataset: Dataset) -> None:
         wavelengths=dataset.wavelengths,
         brdf=np.concatenate([row.brdf for row in rows]),
         aperture=dataset.aperture,
-        filled=filled,
-        origin=json.dumps(origin, sort_keys=True),
+        filled=table.filled,
+        origin=json.dumps(table.origin, sort_keys=True),
     )
     path.write_bytes(content.getvalue())
+
+
+def tabulated(dataset: Dataset) -> Tabulated:
+    """The usable part of a dataset as a material that is in no file; raises what `write_tabulated` raises."""
+    rows, filled = _completed(dataset)
+    origin = {"dataset_sha256": dataset.content_hash} | {
+        name: dataset.lineage[name] for name in ("simulated", "imported", "scan") if name in dataset.lineage
+    }
+    return Tabulated(dataset.sample, tuple(rows), dataset.wavelengths, dataset.aperture, filled, origin, sha256="")
 
 
 def _completed(dataset: Dataset) -> tuple[list[Row], int]:

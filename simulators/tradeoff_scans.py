@@ -5,7 +5,7 @@ gives for this order of moves, exposures and dead times. Errors are those of rea
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -116,14 +116,13 @@ def through(process: Interpolant) -> Read:
     return lambda theta_in, theta_out: predict_values(process, theta_in, theta_out)[0]
 
 
-def scan_charts(
-    sample: str, truth: Truth, theta_in: tuple[float, ...], seeds: int, tell: Callable[[str], None]
-) -> list[Chart]:
+def scan_charts(sample: str, truth: Truth, spec: PlanSpec, seeds: int, tell: Callable[[str], None]) -> list[Chart]:
     """Uniform and dynamic scans of a material: time at the bench against the error of reading between the points.
 
+    `spec` says which directions there are.
     Each is done `seeds` times with other noise.
     """
-    spec = PlanSpec(theta_in)
+    theta_in = spec.theta_in
     places = np.array([(t, x) for t in theta_in for a, b in segments(spec, t) for x in np.arange(a, b, _JUDGED_STEP)])
     at_in, at_out = places.T
     right, colour = truth(at_in, at_out, BANDS), truth(at_in, at_out, _COLOUR)
@@ -203,7 +202,7 @@ def _scans(spec: PlanSpec, truth: Truth, random: np.random.Generator, tell: Call
             scans.append(Scanned(f"{step:g}°", f"{setting} our process", "uniform, our interpolation", points, read))
     for tolerance in TOLERANCES:
         tell(f"dynamic to {tolerance:g}")
-        wanted = PlanSpec(spec.theta_in, tolerance=tolerance, colour_tolerance=None)
+        wanted = replace(spec, tolerance=tolerance, colour_tolerance=None)
         found: list[Measured] = []
         while batch := next_points(wanted, found):
             found += measure(batch)

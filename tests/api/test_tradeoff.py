@@ -8,8 +8,10 @@ import pytest
 
 from analysis.fresnel import load_conductor
 from analysis.tradeoff_fits import fit_charts
+from analysis.tradeoff_models import model_charts
 from api.cli import main
 from drivers.arrays import FloatArray
+from goniometer.plan_spec import PlanSpec
 from simulators.materials import material, true_brdf
 from simulators.topography import topography
 from simulators.tradeoff_bench import drawn
@@ -21,7 +23,7 @@ def test_a_dynamic_scan_is_on_the_front_of_a_narrow_lobe() -> None:
     def truth(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
         return true_brdf(material("sample-8"), theta_in, theta_out, wavelengths) * np.cos(np.radians(theta_in))[:, None]
 
-    error, colour = scan_charts("sample-8", truth, (0.0, 30.0, 60.0), 1, lambda _: None)
+    error, colour = scan_charts("sample-8", truth, PlanSpec((0.0, 30.0, 60.0)), 1, lambda _: None)
     assert "dynamic" in [choice.family for i, choice in enumerate(error.choices) if i in error.front]
     by_name = {(choice.family, choice.name): choice.error for choice in colour.choices}
     assert by_name["uniform", "2°"] < by_name["uniform", "10°"]
@@ -64,3 +66,16 @@ def test_more_rays_and_finer_transforms_err_less() -> None:
     assert np.all(np.diff(transforms) < 0)
     by_nodes = [choice.error for choice in waves.choices if choice.family == "all places, fewer wavelengths"]
     assert by_nodes[-1] < by_nodes[0]
+
+
+@pytest.mark.slow
+def test_models_that_know_of_the_shift_are_closer_in_colour_than_those_that_do_not() -> None:
+    datasets, _ = drawn("sample-1", material("sample-1"), 1)
+    evaluation, size, rendering = model_charts(datasets[0], load_conductor(), False, 1, lambda _: None)
+    errors = {choice.name: choice.error for choice in evaluation.choices}
+    assert errors["cook-torrance-shift"] < 0.3 < errors["cook-torrance"] < errors["lambert"]
+    assert errors["table"] < 0.5
+    bytes_of = {choice.name: choice.cost for choice in size.choices}
+    assert bytes_of["cook-torrance-shift"] == 3 * 8
+    shaded = {choice.name: choice.error for choice in rendering.choices}
+    assert shaded["cook-torrance-shift"] < shaded["cook-torrance"]
