@@ -5,7 +5,7 @@ CIE's phosphor-converted LED-B5 and the camera a Nikon D5100 as the National Phy
 `colour-science`; the paper's are a high power LED of unknown spectrum and a Nikon D810.
 """
 
-from collections.abc import Iterator
+import warnings
 from dataclasses import dataclass
 from math import ceil, cos, pi, radians
 
@@ -15,17 +15,21 @@ from numpy.typing import NDArray
 from analysis.directions import Aperture, in_plane, round_aperture
 from analysis.fresnel import Conductor, fresnel_conductor
 from drivers.arrays import FloatArray
+from goniometer.errors import InputError
 from simulators.diffraction import Coherence
 from simulators.heights import HeightField, roughness
-from simulators.sampling import Sampling, sampling
+from simulators.sampling import CoarseSampling, Sampling, sampling
 from simulators.speckle import Lens, Lighting, PhaseScreen, image_points, phase_screen, squared_field
 from simulators.waves import Kernel, obliquity
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 """The camera sees no other wavelengths: its filters pass less than a thousandth of what they pass at best."""
 
-_FEWEST_WAVELENGTHS = 31
-"""Enough for the spectra of LED and camera by themselves."""
+MOST_LED = 10.0
+"""Degrees, from edge to edge, above which an LED is not collimated."""
+
+_FEWEST_STEPS = 30
+"""Between wavelengths, enough for the spectra of LED and camera by themselves."""
 
 
 @dataclass(frozen=True)
@@ -126,23 +130,24 @@ class Scene:
     conductor: Conductor | None
 
 
-def wavelengths_for(field: HeightField, lens: Lens, angles: FloatArray) -> FloatArray:
-    """Wavelengths in nm, even in wave numbers, so many that speckle changes little from each to the next.
+def lighting_for(field: HeightField, lens: Lens, angles: FloatArray, led_angle: float, finer: int = 1) -> Lighting:
+    """A round LED of `led_angle` degrees, from edge to edge, at `angles` in degrees, finely enough for `field`.
 
-    The pattern follows exp(-(dkz Sq)^2 / 2) for a change dkz (Goodman, Speckle Phenomena in Optics, chapter 6), and a
-    sum at steps of dkz = 1 / Sq has the contrast of the integral to 1e-4.
+    Wavelengths lie even in wave numbers, so that speckle changes little from each to the next. The pattern follows
+    exp(-(dkz Sq)^2 / 2) for a change dkz (Goodman, Speckle Phenomena in Optics, section 6.3), and a sum at steps of
+    dkz = 1 / Sq has the contrast of the integral to 1e-4. Rings of points of the LED are a quarter of the lens apart.
+    `finer` times as many of both show whether that was enough. Raises `InputError` for an impossible LED.
     """
+    if not 0 <= led_angle <= MOST_LED:
+        raise InputError(f"A collimated LED is seen under 0 to {MOST_LED:g} degrees, but {led_angle:g} was given.")
     up = cos(radians(lens.theta_out)) + float(np.cos(np.radians(angles)).max())
     phases = up * 2 * pi * (1e3 / FIRST_NM - 1e3 / LAST_NM) * roughness(field).sq_um
-    return 1 / np.linspace(1 / FIRST_NM, 1 / LAST_NM, max(_FEWEST_WAVELENGTHS, ceil(phases) + 1))
-
-
-def led_points(full_angle: float, lens: Lens) -> Aperture:
-    """Points of a round LED of `full_angle` degrees: rings a quarter of the aperture of `lens` apart at most."""
-    if full_angle == 0:
-        return Aperture(np.zeros(1), np.zeros(1), np.ones(1))
-    rings = ceil(4 * radians(full_angle / 2) / (2 * lens.numerical_aperture)) + 1
-    return round_aperture(full_angle, rings, 6 * rings)
+    count = finer * max(_FEWEST_STEPS, ceil(phases)) + 1
+    wavelengths = 1 / np.linspace(1 / FIRST_NM, 1 / LAST_NM, count)
+    if led_angle == 0:
+        return Lighting(angles, wavelengths, Aperture(np.zeros(1), np.zeros(1), np.ones(1)))
+    rings = finer * (1 + ceil(radians(led_angle) / lens.numerical_aperture))
+    return Lighting(angles, wavelengths, round_aperture(led_angle, rings, 6 * rings))
 
 
 def scene(
@@ -154,16 +159,24 @@ def scene(
 ) -> Scene:
     """Of `field`; without a `conductor` its material reflects all light.
 
-    Raises `UnfitTopography` and `InputError` as `phase_screen` does, and `OutOfRange` beyond the conductor's table.
+    Warns of `CoarseSampling`. Raises `UnfitTopography` and `InputError` as `phase_screen` does, and `OutOfRange` beyond
+    the conductor's table.
     """
-    kx, _, kz = lighting.wave_vectors(lens)
-    fineness = sampling(field, kx, kz, float(window_of(lens).size(lighting.wavelengths).min()))
+    fineness = fineness_for(field, lens, lighting)
+    if not fineness.sufficient:
+        warnings.warn(fineness.message, CoarseSampling, stacklevel=2)
     ny, nx = field.heights_um.shape
     size = ny * field.pitch_um, nx * field.pitch_um
     screen = phase_screen(field, lens, lighting)
     return Scene(
         screen, lens, lighting, response(lighting.wavelengths), size, field.periodic, fineness, kernel, conductor
     )
+
+
+def fineness_for(field: HeightField, lens: Lens, lighting: Lighting) -> Sampling:
+    """Whether `field` is fine enough for all that `lens` sees of it, and else by how much to refine it."""
+    kx, _, kz = lighting.wave_vectors(lens)
+    return sampling(field, kx, kz, float(window_of(lens).size(lighting.wavelengths).min()))
 
 
 def window_of(lens: Lens) -> Coherence:
@@ -199,11 +212,6 @@ def photograph(scene: Scene, sensor: Sensor, angle: int) -> FloatArray:
     rows = _pixels(points[0], scene.size_um[0], across, margin)
     columns = _pixels(points[1], scene.size_um[1], along, margin / cos(radians(scene.lens.theta_out)))
     return np.asarray(np.moveaxis(rows @ channels @ columns.T, 0, -1))
-
-
-def photographs(scene: Scene, sensor: Sensor) -> Iterator[FloatArray]:
-    """What `photograph` returns, for one angle after the other."""
-    return (photograph(scene, sensor, angle) for angle in range(scene.lighting.angles.size))
 
 
 def pixel_sizes(lens: Lens, sensor: Sensor) -> tuple[float, float]:

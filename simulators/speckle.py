@@ -124,6 +124,7 @@ def phase_screen(field: HeightField, lens: Lens, lighting: Lighting) -> PhaseScr
     """Of `field`, for all that `lens` sees of it in `lighting`.
 
     A field that is not periodic is treated as if it were, which spoils its image within one speckle of its edges.
+    Whether `field` is fine enough is for `simulators.sampling.sampling` to say.
     Raises `UnfitTopography` where heights are missing, or where the patch is not much larger than one speckle, and
     `InputError` for directions below the surface.
     """
@@ -144,11 +145,6 @@ def phase_screen(field: HeightField, lens: Lens, lighting: Lighting) -> PhaseScr
     kx, ky, kz = lighting.wave_vectors(lens)
     first_along = floor((kx - radius_along).min() / step_along) - 1
     last_along = ceil((kx + radius_along).max() / step_along) + 1
-    if max(-first_along, last_along) > nx // 2 - 1:
-        raise UnfitTopography(
-            f"The topography has a pitch of {field.pitch_um:.3g} um, which does not hold the waves that reach the "
-            f"lens; at most {pi / (max(-first_along, last_along) * step_along):.2g} um is needed."
-        )
     reach = min(ceil((np.abs(ky) + radius_across).max() / step_across) + 1, ny // 2 - 1)
     kz_step = pi / max(float(np.ptp(heights)), _FLAT_UM)
     kz_first = floor(kz.min() / kz_step) - (_TAPS // 2 - 1)
