@@ -22,6 +22,7 @@ from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
 from api.cli_import import register as add_import
+from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
 from api.datasets import too_noisy
@@ -275,6 +276,7 @@ def export(
 
 add_characterisations(app)
 add_import(app)
+add_photos(app)
 add_quality(app)
 app.add_typer(simulate, name="simulate")
 

@@ -74,7 +74,7 @@ def _read_tiff(path: Path, series: Series) -> Frame:
     if series.encoding == "srgb":
         encoded = (counts / full).astype(np.float32)
         light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-        return Frame(light.astype(np.float32), (counts >= full).any(axis=-1))
+        return Frame(light.astype(np.float32), np.any(counts >= full, axis=-1))
     white = full if series.white_level is None else series.white_level
     if not series.black_level < white <= full:
         raise DataFileError(
@@ -82,7 +82,7 @@ def _read_tiff(path: Path, series: Series) -> Frame:
             f"of at most {full:g} counts."
         )
     light = (counts.astype(np.float32) - series.black_level) / (white - series.black_level)
-    return Frame(np.minimum(light, 1).astype(np.float32), (counts >= white).any(axis=-1))
+    return Frame(np.minimum(light, 1).astype(np.float32), np.any(counts >= white, axis=-1))
 
 
 def _read_raw(path: Path) -> Frame:
