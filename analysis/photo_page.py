@@ -29,7 +29,7 @@ def photo_page(series: Sequence[PhotoSeries], found: Sequence[Sequence[PhotoStat
             [redness_chart(series, found, "redness"), contrast_chart(series, found, "contrast")],
             "Left: red over blue of the white-balanced camera signals on a logarithmic scale; bars are the expanded "
             f"uncertainty (k = {COVERAGE_FACTOR:g}) from the number of speckles in the detail; what lies beyond the "
-            "scale is drawn at its edge. Right: standard deviation over mean of the luminance, without what varies slowly.",
+            "scale is drawn at its edge. Right: standard deviation over mean of the luminance, without slow variation.",
         ),
     ]
     body += [_table(one, statistics) for one, statistics in zip(series, found, strict=True)]
@@ -66,8 +66,8 @@ def _introduction(series: Sequence[PhotoSeries]) -> str:
         f'<p class="soft">A camera {where} to the surface normal looks at a surface under a collimated light that '
         "moves around it; colours are relative to a Spectralon panel under the same light. With the light on the other "
         "side of the normal, at positive angles for a camera at a positive one, it sees forward scattering.</p>"
-        '<p class="soft">Pictures are a detail, the whole photograph, and the mean colour of the detail. Each is exposed '
-        f"so that the mean has {100 * BRIGHTNESS:g} % of the display's luminance; brighter speckles are clipped.</p>"
+        '<p class="soft">Pictures are a detail, the whole photograph, and the mean colour of the detail. Each is '
+        f"exposed to a mean of {100 * BRIGHTNESS:g} % of the display's luminance; above, speckles are clipped.</p>"
     )
 
 
