@@ -67,7 +67,7 @@ def _introduction(series: Sequence[PhotoSeries]) -> str:
         "moves around it; colours are relative to a Spectralon panel under the same light. With the light on the other "
         "side of the normal, at positive angles for a camera at a positive one, it sees forward scattering.</p>"
         '<p class="soft">Pictures are a detail, the whole photograph, and the mean colour of the detail. Each is '
-        f"exposed to a mean of {100 * BRIGHTNESS:g} % of the display's luminance; above, speckles are clipped.</p>"
+        f"exposed to a mean of {100 * BRIGHTNESS:g} % of the display's luminance; what exceeds it is clipped.</p>"
     )
 
 

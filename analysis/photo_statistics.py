@@ -12,6 +12,9 @@ FORWARD_TILT, BACKWARD_TILT = 10.0, 32.0
 """Angle between half vector and normal, degrees, at which forward and backward scattering are shown: near the mirror
 direction but off it, and where Fig. 9 of the paper has the shortest wavelengths."""
 
+FALLEN_TO = 0.05
+"""Autocorrelation up to which it counts."""
+
 
 @dataclass(frozen=True)
 class PhotoStatistics:
@@ -84,7 +87,7 @@ def independent_values(values: FloatArray) -> float:
     """How many independent values a pattern [y, x] about zero holds, as far as its mean is concerned.
 
     The variance of the mean is that of the values over their number times the sum of their autocorrelation, which is
-    summed up to the lag where it falls to zero on average over all directions.
+    summed up to the lag where it falls to `FALLEN_TO` on average over all directions; beyond, it is mostly chance.
     """
     ny, nx = values.shape
     power = np.abs(np.fft.rfft2(values, (2 * ny, 2 * nx))) ** 2
@@ -95,7 +98,7 @@ def independent_values(values: FloatArray) -> float:
     lag = np.hypot(*np.ogrid[-ny:ny, -nx:nx])
     ring = np.round(lag).astype(int).ravel()
     mean = np.bincount(ring, correlation.ravel()) / np.bincount(ring)
-    fallen = np.flatnonzero(mean[: min(ny, nx)] <= 0)
+    fallen = np.flatnonzero(mean[: min(ny, nx)] <= FALLEN_TO * largest)
     reach = int(fallen[0]) if fallen.size else min(ny, nx)
     share = float(correlation[lag < reach - 0.5].sum() / largest)
     return float(values.size / max(share, 1.0))

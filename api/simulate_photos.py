@@ -49,10 +49,11 @@ def photos_command(
     taken = scene(field, lens, lighting, load_conductor())
     make_folder(output)
     sensor = Sensor()
+    name = f"{made.name}, micro-roughness" if micro else made.name
     with Progress(console=screen, transient=True) as progress:
         task = progress.add_task("Photographing", total=ANGLES.size)
         path, colours = take_series(
-            taken, sensor, made.name, output, seed, lambda count: progress.update(task, completed=count)
+            taken, sensor, name, output, seed, lambda count: progress.update(task, completed=count)
         )
     check = convergence(field, taken, lighting_for(field, lens, CHECKED, led, finer=2), sensor)
     if as_json:
