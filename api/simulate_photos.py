@@ -42,20 +42,20 @@ def photos_command(
     """Photograph an aluminium surface at 45 degrees under an LED at -70 to 70 degrees, by wave optics."""
     made = topography(surface, size, pitch, seed, micro=micro)
     lens = Lens(f_number, MAGNIFICATION, CAMERA_ANGLE)
-    lighting = lighting_for(made.field, lens, ANGLES, led)
-    field = refined(made.field, fineness_for(made.field, lens, lighting).times)
+    lights = [lighting_for(made.field, lens, angle, led) for angle in ANGLES]
+    field = refined(made.field, fineness_for(made.field, lens, lights).times)
     points = f"{field.heights_um.shape[1]} x {field.heights_um.shape[0]} points"
-    screen.print(f"Computing the waves of {lighting.wavelengths.size} wavelengths on {points}", highlight=False)
-    taken = scene(field, lens, lighting, load_conductor())
+    screen.print(f"Computing the waves of {made.name} on {points}", markup=False, highlight=False)
+    taken = scene(field, lens, lights, load_conductor())
     make_folder(output)
     sensor = Sensor()
     name = f"{made.name}, micro-roughness" if micro else made.name
     with Progress(console=screen, transient=True) as progress:
-        task = progress.add_task("Photographing", total=ANGLES.size)
+        task = progress.add_task("Photographing", total=len(ANGLES))
         path, colours = take_series(
             taken, sensor, name, output, seed, lambda count: progress.update(task, completed=count)
         )
-    check = convergence(field, taken, lighting_for(field, lens, CHECKED, led, finer=2), sensor)
+    check = convergence(field, taken, [lighting_for(field, lens, angle, led, finer=2) for angle in CHECKED], sensor)
     if as_json:
         emit(
             {
@@ -64,19 +64,23 @@ def photos_command(
                 "f_number": f_number,
                 "numerical_aperture": lens.numerical_aperture,
                 "led": led,
-                "wavelengths": lighting.wavelengths.size,
                 "refined": round(made.field.pitch_um / field.pitch_um),
                 "convergence": asdict(check) | {"reached": check.reached},
                 "frames": [
-                    {"angle": float(angle), "rgb": rgb.tolist(), "red_over_blue": float(rgb[0] / rgb[2])}
-                    for angle, rgb in zip(ANGLES, colours, strict=True)
+                    {
+                        "angle": light.theta_in,
+                        "wavelengths": light.wavelengths.size,
+                        "rgb": rgb.tolist(),
+                        "red_over_blue": float(rgb[0] / rgb[2]),
+                    }
+                    for light, rgb in zip(lights, colours, strict=True)
                 ],
             }
         )
         return
     out = Console()
     for line in (
-        f"Wrote {ANGLES.size} photographs and the panel's to {output}; look at them with: goniometer photos {path}",
+        f"Wrote {len(ANGLES)} photographs and the panel's to {output}; look at them with: goniometer photos {path}",
         check.message,
     ):
         out.print(line, markup=False, highlight=False, soft_wrap=True)

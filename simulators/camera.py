@@ -6,8 +6,9 @@ CIE's phosphor-converted LED-B5 and the camera a Nikon D5100 as the National Phy
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, cos, pi, radians
+from math import ceil, cos, pi, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ FIRST_NM, LAST_NM = 400.0, 700.0
 
 MOST_LED = 10.0
 """Degrees, from edge to edge, above which an LED is not collimated."""
+
+_STEP = 0.4
+"""Of the radius of the pupil, by which the speckle of neighbouring wavelengths may be apart; 1 to 2 % in contrast."""
 
 _FEWEST_STEPS = 30
 """Between wavelengths, enough for the spectra of LED and camera by themselves."""
@@ -119,8 +123,8 @@ class Scene:
 
     screen: PhaseScreen
     lens: Lens
-    lighting: Lighting
-    response: Response
+    lights: tuple[Lighting, ...]
+    """One for each photograph."""
     size_um: tuple[float, float]
     """Of the topography, (across, along) the plane of incidence, um."""
     periodic: bool
@@ -130,53 +134,57 @@ class Scene:
     conductor: Conductor | None
 
 
-def lighting_for(field: HeightField, lens: Lens, angles: FloatArray, led_angle: float, finer: int = 1) -> Lighting:
-    """A round LED of `led_angle` degrees, from edge to edge, at `angles` in degrees, finely enough for `field`.
+def lighting_for(field: HeightField, lens: Lens, theta_in: float, led_angle: float, finer: int = 1) -> Lighting:
+    """A round LED of `led_angle` degrees, from edge to edge, at `theta_in` in degrees, finely enough for `field`.
 
-    Wavelengths lie even in wave numbers, so that speckle changes little from each to the next. The pattern follows
+    Wavelengths lie even in wave numbers k, so that speckle changes little from each to the next. It follows
     exp(-(dkz Sq)^2 / 2) for a change dkz (Goodman, Speckle Phenomena in Optics, section 6.3), and a sum at steps of
-    dkz = 1 / Sq has the contrast of the integral to 1e-4. Rings of points of the LED are a quarter of the lens apart.
-    `finer` times as many of both show whether that was enough. Raises `InputError` for an impossible LED.
+    1 / Sq has the contrast of the integral to 1e-4; off the mirror direction it also wanders over the pupil, of which
+    a step is `_STEP` of the radius. Rings of points of the LED are a quarter of the lens apart. `finer` times as many
+    of both show whether that was enough. Raises `InputError` for an impossible LED.
     """
     if not 0 <= led_angle <= MOST_LED:
         raise InputError(f"A collimated LED is seen under 0 to {MOST_LED:g} degrees, but {led_angle:g} was given.")
-    up = cos(radians(lens.theta_out)) + float(np.cos(np.radians(angles)).max())
-    phases = up * 2 * pi * (1e3 / FIRST_NM - 1e3 / LAST_NM) * roughness(field).sq_um
-    count = finer * max(_FEWEST_STEPS, ceil(phases)) + 1
+    out, incident = radians(lens.theta_out), radians(theta_in)
+    range_k, least_k = 2 * pi * (1e3 / FIRST_NM - 1e3 / LAST_NM), 2 * pi * 1e3 / LAST_NM
+    phases = (cos(out) + cos(incident)) * range_k * roughness(field).sq_um
+    radius = least_k * lens.numerical_aperture * cos(out)
+    wandering = abs(sin(out) - sin(incident)) * range_k / (_STEP * radius)
+    count = finer * ceil(max(_FEWEST_STEPS, phases, wandering)) + 1
     wavelengths = 1 / np.linspace(1 / FIRST_NM, 1 / LAST_NM, count)
     if led_angle == 0:
-        return Lighting(angles, wavelengths, Aperture(np.zeros(1), np.zeros(1), np.ones(1)))
+        return Lighting(theta_in, wavelengths, Aperture(np.zeros(1), np.zeros(1), np.ones(1)))
     rings = finer * (1 + ceil(radians(led_angle) / lens.numerical_aperture))
-    return Lighting(angles, wavelengths, round_aperture(led_angle, rings, 6 * rings))
+    return Lighting(theta_in, wavelengths, round_aperture(led_angle, rings, 6 * rings))
 
 
 def scene(
     field: HeightField,
     lens: Lens,
-    lighting: Lighting,
+    lights: Sequence[Lighting],
     conductor: Conductor | None = None,
     kernel: Kernel = Kernel.HARVEY_SHACK,
 ) -> Scene:
-    """Of `field`; without a `conductor` its material reflects all light.
+    """Of `field`, to be photographed in each of `lights`; without a `conductor` its material reflects all light.
 
     Warns of `CoarseSampling`. Raises `UnfitTopography` and `InputError` as `phase_screen` does, and `OutOfRange` beyond
     the conductor's table.
     """
-    fineness = fineness_for(field, lens, lighting)
+    fineness = fineness_for(field, lens, lights)
     if not fineness.sufficient:
         warnings.warn(fineness.message, CoarseSampling, stacklevel=2)
     ny, nx = field.heights_um.shape
     size = ny * field.pitch_um, nx * field.pitch_um
-    screen = phase_screen(field, lens, lighting)
-    return Scene(
-        screen, lens, lighting, response(lighting.wavelengths), size, field.periodic, fineness, kernel, conductor
-    )
+    screen = phase_screen(field, lens, lights)
+    return Scene(screen, lens, tuple(lights), size, field.periodic, fineness, kernel, conductor)
 
 
-def fineness_for(field: HeightField, lens: Lens, lighting: Lighting) -> Sampling:
+def fineness_for(field: HeightField, lens: Lens, lights: Sequence[Lighting]) -> Sampling:
     """Whether `field` is fine enough for all that `lens` sees of it, and else by how much to refine it."""
-    kx, _, kz = lighting.wave_vectors(lens)
-    return sampling(field, kx, kz, float(window_of(lens).size(lighting.wavelengths).min()))
+    vectors = [light.wave_vectors(lens) for light in lights]
+    kx, kz = (np.concatenate([v[axis].ravel() for v in vectors]) for axis in (0, 2))
+    smallest = min(float(window_of(lens).size(light.wavelengths).min()) for light in lights)
+    return sampling(field, kx, kz, smallest)
 
 
 def window_of(lens: Lens) -> Coherence:
@@ -184,10 +192,10 @@ def window_of(lens: Lens) -> Coherence:
     return Coherence(0.6 / (np.sqrt(2) * pi * lens.numerical_aperture))
 
 
-def spectral_factors(scene: Scene, angle: int) -> FloatArray:
+def spectral_factors(scene: Scene, lighting: Lighting) -> FloatArray:
     """[wavelengths] pi f cos(theta_in) over |E|^2 in 1/um^2: radiance relative to a white panel at normal incidence."""
-    theta_in, theta_out = scene.lighting.angles[angle : angle + 1], np.array([scene.lens.theta_out])
-    wavelengths = scene.lighting.wavelengths
+    theta_in, theta_out = np.array([lighting.theta_in]), np.array([scene.lens.theta_out])
+    wavelengths = lighting.wavelengths
     share = pi * float(np.cos(np.radians(theta_in[0]))) * obliquity(scene.kernel, theta_in, theta_out)[0]
     factors = share / (1e-3 * wavelengths) ** 2
     if scene.conductor is None:
@@ -196,17 +204,17 @@ def spectral_factors(scene: Scene, angle: int) -> FloatArray:
     return np.asarray(factors * fresnel_conductor(in_plane(theta_in, theta_out).cos_d, n, k))
 
 
-def photograph(scene: Scene, sensor: Sensor, angle: int) -> FloatArray:
-    """[y, x, 3] white-balanced values of the pixels at lighting's `angle` (index), without noise.
+def photograph(scene: Scene, sensor: Sensor, number: int) -> FloatArray:
+    """[y, x, 3] white-balanced values of the pixels in the light of this `number`, without noise.
 
     x runs along the plane of incidence, where pixels see 1 / cos(theta_out) more of the surface.
     """
-    points = image_points(scene.screen, scene.lens, scene.lighting.wavelengths)
-    factors = spectral_factors(scene, angle)
+    lighting = scene.lights[number]
+    points = image_points(scene.screen, scene.lens, lighting.wavelengths)
+    weights = spectral_factors(scene, lighting)[:, None] * response(lighting.wavelengths).weights
     channels = np.zeros((3, *points))
-    for i, factor in enumerate(factors):
-        square = squared_field(scene.screen, scene.lens, scene.lighting, angle, i, points)
-        channels += factor * scene.response.weights[i][:, None, None] * square
+    for i, weight in enumerate(weights):
+        channels += weight[:, None, None] * squared_field(scene.screen, scene.lens, lighting, i, points)
     across, along = pixel_sizes(scene.lens, sensor)
     margin = 0.0 if scene.periodic else 1e-3 * LAST_NM / scene.lens.numerical_aperture
     rows = _pixels(points[0], scene.size_um[0], across, margin)

@@ -1,6 +1,6 @@
 """A session with the simulated camera: a series of photographs on the disk, as a real camera would leave them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,17 +9,17 @@ import numpy as np
 from drivers.arrays import FloatArray
 from goniometer.photo_files import write_tiff
 from goniometer.photo_series import Series, Shot, series_text
-from simulators.camera import Scene, Sensor, photograph, pixel_sizes, scene
+from simulators.camera import Scene, Sensor, photograph, pixel_sizes, response, scene
 from simulators.heights import HeightField
 from simulators.speckle import Lighting
 
-ANGLES = np.arange(-70.0, 71.0, 5.0)
+ANGLES = tuple(float(angle) for angle in range(-70, 71, 5))
 """Of the LED, degrees (section 3.3)."""
 
 PANEL_REFLECTANCE = 0.99
 """Of the Spectralon panel at all wavelengths."""
 
-CHECKED = np.array([-20.0, 30.0])
+CHECKED = (-20.0, 30.0)
 """Two of them, backward and forward, at which convergence is shown."""
 
 SERIES = "series.toml"
@@ -59,20 +59,22 @@ def take_series(
     frame is exposed as long as it needs; `done` is told how many are finished.
     """
     shots, colours = [], []
-    sensitivity = taken.response.sensitivity
-    for i, angle in enumerate(taken.lighting.angles):
+    camera = response(taken.lights[0].wavelengths)
+    sensitivity = camera.sensitivity
+    for i, light in enumerate(taken.lights):
+        angle = light.theta_in
         values = photograph(taken, sensor, i)
         exposure = sensor.exposure(values, sensitivity)
         name = f"{'minus' if angle < 0 else 'plus'}-{abs(angle):02.0f}.tif"
         write_tiff(folder / name, sensor.counts(values, sensitivity, exposure, seed=seed + 1 + i))
-        shots.append(Shot(file=name, angle=float(angle), exposure=exposure))
+        shots.append(Shot(file=name, angle=angle, exposure=exposure))
         colours.append(values.mean(axis=(0, 1)))
         done(i + 1)
     panel = np.full_like(values, PANEL_REFLECTANCE)
     exposure = sensor.exposure(panel, sensitivity)
     write_tiff(folder / "white.tif", sensor.counts(panel, sensitivity, exposure, seed=seed))
     red, green, blue = (
-        (round(float(r), 5), round(float(g), 5), round(float(b), 5)) for r, g, b in taken.response.colour_matrix
+        (round(float(r), 5), round(float(g), 5), round(float(b), 5)) for r, g, b in camera.colour_matrix
     )
     series = Series(
         sample=sample,
@@ -89,13 +91,13 @@ def take_series(
     return path, np.array(colours)
 
 
-def convergence(field: HeightField, taken: Scene, finer: Lighting, sensor: Sensor) -> Convergence:
-    """Of photographs of `field` as `taken`, against the `finer` lighting at some of the same angles."""
+def convergence(field: HeightField, taken: Scene, finer: Sequence[Lighting], sensor: Sensor) -> Convergence:
+    """Of photographs of `field` as `taken`, against `finer` lights at some of the same angles."""
+    angles = [light.theta_in for light in taken.lights]
     better = scene(field, taken.lens, finer, taken.conductor, taken.kernel)
     colours, contrasts = [], []
-    for i, angle in enumerate(finer.angles):
-        same = int(np.flatnonzero(taken.lighting.angles == angle)[0])
-        one, other = photograph(taken, sensor, same), photograph(better, sensor, i)
+    for i, light in enumerate(finer):
+        one, other = photograph(taken, sensor, angles.index(light.theta_in)), photograph(better, sensor, i)
         colours.append(np.abs(other.mean(axis=(0, 1)) / one.mean(axis=(0, 1)) - 1).max())
         contrasts.append(abs(_contrast(other) / _contrast(one) - 1))
     return Convergence(float(max(colours)), float(max(contrasts)))

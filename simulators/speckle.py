@@ -18,6 +18,7 @@ d_b as a function of kz is band-limited by the range of heights H, so that a gri
 wavelengths at once.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, cos, floor, pi, radians, sin
 
@@ -102,16 +103,16 @@ class PhaseScreen:
 class Lighting:
     """Which light falls on the surface."""
 
-    angles: FloatArray
-    """[angles] signed angle of incidence, degrees: the lens is in the mirror direction where it equals `theta_out`."""
+    theta_in: float
+    """Signed angle of incidence, degrees: the lens is in the mirror direction where it equals `theta_out`."""
     wavelengths: FloatArray
     """[wavelengths] nm."""
     source: Aperture
     """Points of the source as seen from the surface, offsets in degrees."""
 
     def wave_vectors(self, lens: Lens) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(kx, ky, kz) [angles, points of the source, wavelengths] towards the axis of `lens`, 1/um."""
-        theta = np.radians(self.angles[:, None] + self.source.along)[..., None]
+        """(kx, ky, kz) [points of the source, wavelengths] towards the axis of `lens`, 1/um."""
+        theta = np.radians(self.theta_in + self.source.along)[:, None]
         tilt = np.radians(self.source.sideways)[:, None]
         k = 2 * pi / (1e-3 * self.wavelengths)
         out = radians(lens.theta_out)
@@ -120,35 +121,40 @@ class Lighting:
         return kx, ky, (cos(out) + np.cos(theta) * np.cos(tilt)) * k
 
 
-def phase_screen(field: HeightField, lens: Lens, lighting: Lighting) -> PhaseScreen:
-    """Of `field`, for all that `lens` sees of it in `lighting`.
+def phase_screen(field: HeightField, lens: Lens, lights: Sequence[Lighting]) -> PhaseScreen:
+    """Of `field`, for all that `lens` sees of it in each of `lights`.
 
     A field that is not periodic is treated as if it were, which spoils its image within one speckle of its edges.
     Whether `field` is fine enough is for `simulators.sampling.sampling` to say.
     Raises `UnfitTopography` where heights are missing, or where the patch is not much larger than one speckle, and
     `InputError` for directions below the surface.
     """
-    lamp = float(np.abs(lighting.angles).max() + np.abs(lighting.source.along).max())
+    lamp = max(abs(light.theta_in) + float(np.abs(light.source.along).max()) for light in lights)
     horizon = max(abs(lens.theta_out), lamp)
     if horizon >= 90:
         raise InputError(f"Lamp and camera stand above the surface, but {horizon:g} degrees was given; stay below 90.")
     heights = complete(field) - 0.5 * (np.max(field.heights_um) + np.min(field.heights_um))
     ny, nx = heights.shape
     step_across, step_along = 2 * pi / (ny * field.pitch_um), 2 * pi / (nx * field.pitch_um)
-    radius_along, radius_across = pupil(lens, lighting.wavelengths)
-    fewest = min(float(radius_along.min()) / step_along, float(radius_across.min()) / step_across)
+    longest = np.array([max(light.wavelengths.max() for light in lights)])
+    fewest = min(float(r[0]) / s for r, s in zip(pupil(lens, longest), (step_along, step_across), strict=True))
     if fewest < _FEWEST:
         raise UnfitTopography(
             f"The topography is {nx * field.pitch_um:.3g} x {ny * field.pitch_um:.3g} um large and would show hardly "
             f"more than one speckle of this lens; make it at least {_FEWEST / fewest:.2g} times as large."
         )
-    kx, ky, kz = lighting.wave_vectors(lens)
-    first_along = floor((kx - radius_along).min() / step_along) - 1
-    last_along = ceil((kx + radius_along).max() / step_along) + 1
-    reach = min(ceil((np.abs(ky) + radius_across).max() / step_across) + 1, ny // 2 - 1)
-    kz_step = pi / max(float(np.ptp(heights)), _FLAT_UM)
-    kz_first = floor(kz.min() / kz_step) - (_TAPS // 2 - 1)
-    count = floor(kz.max() / kz_step) + _TAPS // 2 + 1 - kz_first
+    along, across, kz_step = [], [], pi / max(float(np.ptp(heights)), _FLAT_UM)
+    up = []
+    for light in lights:
+        kx, ky, kz = light.wave_vectors(lens)
+        radius_along, radius_across = pupil(lens, light.wavelengths)
+        along += [float((kx - radius_along).min()), float((kx + radius_along).max())]
+        across.append(float((np.abs(ky) + radius_across).max()))
+        up += [float(kz.min()), float(kz.max())]
+    first_along, last_along = floor(min(along) / step_along) - 1, ceil(max(along) / step_along) + 1
+    reach = min(ceil(max(across) / step_across) + 1, ny // 2 - 1)
+    kz_first = floor(min(up) / kz_step) - (_TAPS // 2 - 1)
+    count = floor(max(up) / kz_step) + _TAPS // 2 + 1 - kz_first
     wanted = np.arange(first_along, last_along + 1) % nx
     harmonics = np.empty((wanted.size, 2 * reach + 1, count), dtype=np.complex64)
     rows = max(1, _AT_ONCE // (nx * count))
@@ -174,15 +180,15 @@ def image_points(screen: PhaseScreen, lens: Lens, wavelengths: FloatArray) -> tu
 
 
 def squared_field(
-    screen: PhaseScreen, lens: Lens, lighting: Lighting, angle: int, wavelength: int, points: tuple[int, int]
+    screen: PhaseScreen, lens: Lens, lighting: Lighting, wavelength: int, points: tuple[int, int]
 ) -> FloatArray:
-    """[y, x] |E|^2 in um^2, averaged over the points of the source, at lighting's `angle` and `wavelength` (indices).
+    """[y, x] |E|^2 in um^2, averaged over the points of the source, at lighting's `wavelength` (its number).
 
     `points` is the number across and along, see `image_points`; they lie evenly on the whole patch, its first point
     among them.
     """
     radius_along, radius_across = (float(r[0]) for r in pupil(lens, lighting.wavelengths[wavelength : wavelength + 1]))
-    kx, ky, kz = (k[angle, :, wavelength] for k in lighting.wave_vectors(lens))
+    kx, ky, kz = (k[:, wavelength] for k in lighting.wave_vectors(lens))
     total = np.zeros(points)
     for source, weight in enumerate(lighting.source.weights):
         along = _harmonics_within(float(kx[source]), radius_along, screen.step_along)

@@ -15,15 +15,15 @@ from simulators.waves import Kernel, averaged, averaged_brdf, obliquity
 
 POINT = Aperture(np.zeros(1), np.zeros(1), np.ones(1))
 LENS = Lens(f_number=11, magnification=1, theta_out=30)
-MIRROR = np.array([30.0])
+MIRROR = 30.0
 """The lens is in the mirror direction."""
 
 
 def images(field: HeightField, lens: Lens, lighting: Lighting) -> list[FloatArray]:
     """|E|^2 of the first angle, one for each wavelength."""
-    screen = phase_screen(field, lens, lighting)
+    screen = phase_screen(field, lens, [lighting])
     points = image_points(screen, lens, lighting.wavelengths)
-    return [squared_field(screen, lens, lighting, 0, i, points) for i in range(lighting.wavelengths.size)]
+    return [squared_field(screen, lens, lighting, i, points) for i in range(lighting.wavelengths.size)]
 
 
 def contrast(image: FloatArray) -> float:
@@ -42,9 +42,9 @@ def test_a_grating_shows_fringes_of_its_two_orders_within_the_lens() -> None:
     field = HeightField(np.tile(amplitude * np.sin(2 * np.pi * x / period), (size, 1)), 0.5, periodic=True)
     # the lens looks between the orders zero and one, and is too narrow for a third
     between = np.degrees(np.arcsin(np.sin(np.radians(30)) - 0.5 * 0.6 / period))
-    lighting = Lighting(np.array([between]), np.array([600.0]), POINT)
+    lighting = Lighting(between, np.array([600.0]), POINT)
     image = images(field, LENS, lighting)[0]
-    kz = float(lighting.wave_vectors(LENS)[2][0, 0, 0])
+    kz = float(lighting.wave_vectors(LENS)[2][0, 0])
     along, across = pupil(LENS, lighting.wavelengths)
     orders = jv([0, 1], kz * amplitude)
     mean = (orders**2).sum() * (2 * np.pi) ** 2 / (np.pi * along[0] * across[0])
@@ -61,7 +61,7 @@ def test_a_polished_spot_shines_where_it_lies(rough: HeightField) -> None:
     y, x = (np.arange(n) * rough.pitch_um for n in (ny, nx))
     spot = np.hypot(y[:, None] - 60, x - 150) < 15
     field = HeightField(np.where(spot, 0.0, rough.heights_um), rough.pitch_um, periodic=True)
-    image = images(field, LENS, Lighting(np.array([30.0]), np.array([550.0]), POINT))[0]
+    image = images(field, LENS, Lighting(30.0, np.array([550.0]), POINT))[0]
     bright = image > image.max() / 2
     row, column = (np.flatnonzero(bright.any(axis=axis)).mean() for axis in (1, 0))
     assert row / image.shape[0] * ny * rough.pitch_um == pytest.approx(60, abs=5)
@@ -73,14 +73,14 @@ def test_laser_speckle_of_a_rough_surface_has_the_contrast_one(rough: HeightFiel
     found = [
         contrast(image)
         for angle in (10.0, 30.0, 50.0)
-        for image in images(rough, LENS, Lighting(np.array([angle]), wavelengths, POINT))
+        for image in images(rough, LENS, Lighting(angle, wavelengths, POINT))
     ]
     assert np.mean(found) == pytest.approx(1, abs=0.06)
 
 
 def test_contrast_falls_with_the_root_of_the_number_of_wavelengths_and_of_lamp_points(rough: HeightField) -> None:
     apart = 1 / np.linspace(1 / 430, 1 / 680, 4)
-    assert np.diff(Lighting(MIRROR, apart, POINT).wave_vectors(LENS)[2][0, 0]).max() * 0.6 < -1.8
+    assert np.diff(Lighting(MIRROR, apart, POINT).wave_vectors(LENS)[2][0]).max() * 0.6 < -1.8
     each = np.array(images(rough, LENS, Lighting(MIRROR, apart, POINT)))
     # patterns that have nothing in common (Goodman, Speckle Phenomena in Optics, section 3.3)
     assert contrast((each / each.mean(axis=(1, 2), keepdims=True)).sum(axis=0)) == pytest.approx(1 / 2, abs=0.06)
@@ -95,7 +95,7 @@ def test_neighbouring_wavelengths_share_as_much_of_their_speckle_as_the_roughnes
     near = 1 / np.linspace(1 / 550, 1 / 600, 6)
     lighting = Lighting(MIRROR, near, POINT)
     first, *others = (image / image.mean() - 1 for image in images(rough, LENS, lighting))
-    kz = lighting.wave_vectors(LENS)[2][0, 0]
+    kz = lighting.wave_vectors(LENS)[2][0]
     for other, k in zip(others, kz[1:], strict=True):
         shared = (first * other).mean() / np.sqrt((first**2).mean() * (other**2).mean())
         # Gaussian heights (Goodman, section 6.3), and pupils of which the smaller lies within the larger
@@ -106,7 +106,7 @@ def test_neighbouring_wavelengths_share_as_much_of_their_speckle_as_the_roughnes
 def test_a_lamp_that_is_small_against_the_lens_changes_nothing(rough: HeightField) -> None:
     wavelengths = np.array([550.0])
     small = round_aperture(0.02, 2, 6)
-    sharp, blurred = (images(rough, LENS, Lighting(np.array([20.0]), wavelengths, s))[0] for s in (POINT, small))
+    sharp, blurred = (images(rough, LENS, Lighting(20.0, wavelengths, s))[0] for s in (POINT, small))
     assert contrast(blurred) == pytest.approx(contrast(sharp), rel=0.01)
 
 
@@ -114,14 +114,12 @@ def test_a_lamp_that_is_small_against_the_lens_changes_nothing(rough: HeightFiel
 def test_the_mean_brightness_is_the_averaged_brdf(rough: HeightField) -> None:
     angles, wavelengths = np.array([0.0, 20.0, 45.0]), np.array([450.0, 550.0, 650.0])
     lens = Lens(f_number=5.6, magnification=1, theta_out=30)
-    screen = phase_screen(rough, lens, lighting := Lighting(angles, wavelengths, POINT))
+    screen = phase_screen(rough, lens, lights := [Lighting(float(a), wavelengths, POINT) for a in angles])
     points = image_points(screen, lens, wavelengths)
     out = np.full(3, 30.0)
     mean = averaged(rough, angles, out, wavelengths, window_of(lens))
     expected = averaged_brdf(mean, angles, out, wavelengths).brdf
-    square = np.array(
-        [[squared_field(screen, lens, lighting, a, w, points).mean() for w in range(3)] for a in range(3)]
-    )
+    square = np.array([[squared_field(screen, lens, light, w, points).mean() for w in range(3)] for light in lights])
     found = square * obliquity(Kernel.HARVEY_SHACK, angles, out)[:, None] / (1e-3 * wavelengths) ** 2
     # the window weighs the same waves by a Gaussian, the lens all alike: some 250 speckles each
     assert found == pytest.approx(expected, rel=0.2)
@@ -131,7 +129,7 @@ def test_the_mean_brightness_is_the_averaged_brdf(rough: HeightField) -> None:
 def test_a_flat_mirror_is_uniform_and_neutral() -> None:
     field = HeightField(np.zeros((256, 256)), 0.5, periodic=True)
     wavelengths = np.array([420.0, 550.0, 680.0])
-    shown = images(field, LENS, Lighting(np.array([30.0]), wavelengths, round_aperture(0.5, 2, 6)))
+    shown = images(field, LENS, Lighting(30.0, wavelengths, round_aperture(0.5, 2, 6)))
     level = [image.mean() / w**2 for image, w in zip(shown, wavelengths, strict=True)]
     assert max(contrast(image) for image in shown) < 1e-4
     assert level == pytest.approx([level[0]] * 3, rel=1e-4)
@@ -140,6 +138,6 @@ def test_a_flat_mirror_is_uniform_and_neutral() -> None:
 def test_what_the_lens_cannot_see_is_refused_in_words(rough: HeightField) -> None:
     tiny = HeightField(np.zeros((32, 32)), 0.25, periodic=True)
     with pytest.raises(UnfitTopography, match="hardly more than one speckle"):
-        phase_screen(tiny, LENS, Lighting(np.array([0.0]), np.array([550.0]), POINT))
+        phase_screen(tiny, LENS, [Lighting(0.0, np.array([550.0]), POINT)])
     with pytest.raises(InputError, match="stay below 90"):
-        phase_screen(rough, LENS, Lighting(np.array([90.0]), np.array([550.0]), POINT))
+        phase_screen(rough, LENS, [Lighting(90.0, np.array([550.0]), POINT)])
