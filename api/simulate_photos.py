@@ -13,6 +13,7 @@ from api.arguments import AsJson, emit
 from api.derive import make_folder
 from api.simulations import Micro, Pitch, Seed, Size, SurfaceName
 from api.terminal import screen
+from goniometer.errors import InputError
 from simulators.camera import Sensor, fineness_for, lighting_for, scene
 from simulators.photo_session import ANGLES, CHECKED, convergence, take_series
 from simulators.sampling import refined
@@ -21,6 +22,9 @@ from simulators.topography import topography
 
 CAMERA_ANGLE, MAGNIFICATION = 45.0, 1.0
 """Of the camera in degrees, and of its lens at its largest."""
+
+MOST_POINTS = 8192**2
+"""Of a refined surface; they take some gigabytes and minutes."""
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +47,14 @@ def photos_command(
     made = topography(surface, size, pitch, seed, micro=micro)
     lens = Lens(f_number, MAGNIFICATION, CAMERA_ANGLE)
     lights = [lighting_for(made.field, lens, angle, led) for angle in ANGLES]
-    field = refined(made.field, fineness_for(made.field, lens, lights).times)
+    times = fineness_for(made.field, lens, lights).times
+    if made.field.heights_um.size * times**2 > MOST_POINTS:
+        side = int(MOST_POINTS**0.5 / times)
+        raise InputError(
+            f"{made.name} must be refined {times} times, and then has more points than fit into memory; make it at "
+            f"most {side} points wide at this pitch."
+        )
+    field = refined(made.field, times)
     points = f"{field.heights_um.shape[1]} x {field.heights_um.shape[0]} points"
     screen.print(f"Computing the waves of {made.name} on {points}", markup=False, highlight=False)
     taken = scene(field, lens, lights, load_conductor())

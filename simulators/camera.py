@@ -18,7 +18,7 @@ from analysis.fresnel import Conductor, fresnel_conductor
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from simulators.diffraction import Coherence
-from simulators.heights import HeightField, roughness
+from simulators.heights import HeightField, complete
 from simulators.sampling import CoarseSampling, Sampling, sampling
 from simulators.speckle import Lens, Lighting, PhaseScreen, image_points, phase_screen, squared_field
 from simulators.waves import Kernel, obliquity
@@ -147,7 +147,7 @@ def lighting_for(field: HeightField, lens: Lens, theta_in: float, led_angle: flo
         raise InputError(f"A collimated LED is seen under 0 to {MOST_LED:g} degrees, but {led_angle:g} was given.")
     out, incident = radians(lens.theta_out), radians(theta_in)
     range_k, least_k = 2 * pi * (1e3 / FIRST_NM - 1e3 / LAST_NM), 2 * pi * 1e3 / LAST_NM
-    phases = (cos(out) + cos(incident)) * range_k * roughness(field).sq_um
+    phases = (cos(out) + cos(incident)) * range_k * float(np.std(complete(field)))
     radius = least_k * lens.numerical_aperture * cos(out)
     wandering = abs(sin(out) - sin(incident)) * range_k / (_STEP * radius)
     count = finer * ceil(max(_FEWEST_STEPS, phases, wandering)) + 1

@@ -19,8 +19,11 @@ ANGLES = tuple(float(angle) for angle in range(-70, 71, 5))
 PANEL_REFLECTANCE = 0.99
 """Of the Spectralon panel at all wavelengths."""
 
-CHECKED = (-20.0, 30.0)
-"""Two of them, backward and forward, at which convergence is shown."""
+CHECKED = (-20.0, 30.0, 45.0)
+"""Some of them, backward, forward and in the mirror direction, at which convergence is shown."""
+
+DARK = 1e-7
+"""Brightness relative to a white panel below which the camera sees nothing, however long it is open."""
 
 SERIES = "series.toml"
 """Name of the file that describes the series."""
@@ -92,15 +95,21 @@ def take_series(
 
 
 def convergence(field: HeightField, taken: Scene, finer: Sequence[Lighting], sensor: Sensor) -> Convergence:
-    """Of photographs of `field` as `taken`, against `finer` lights at some of the same angles."""
+    """Of photographs of `field` as `taken`, against `finer` lights at some of the same angles; the worst of all.
+
+    Photographs that are dark are left out.
+    """
     angles = [light.theta_in for light in taken.lights]
     better = scene(field, taken.lens, finer, taken.conductor, taken.kernel)
     colours, contrasts = [], []
     for i, light in enumerate(finer):
-        one, other = photograph(taken, sensor, angles.index(light.theta_in)), photograph(better, sensor, i)
+        one = photograph(taken, sensor, angles.index(light.theta_in))
+        if one.mean() < DARK:
+            continue
+        other = photograph(better, sensor, i)
         colours.append(np.abs(other.mean(axis=(0, 1)) / one.mean(axis=(0, 1)) - 1).max())
         contrasts.append(abs(_contrast(other) / _contrast(one) - 1))
-    return Convergence(float(max(colours)), float(max(contrasts)))
+    return Convergence(float(max(colours, default=0.0)), float(max(contrasts, default=0.0)))
 
 
 def _contrast(image: FloatArray) -> float:

@@ -22,6 +22,7 @@ def taken(cli: Cli, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dic
     return folder, json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_simulated_photographs_are_read_with_the_colours_that_the_waves_have(
     cli: Cli, taken: tuple[Path, dict[str, Any]]
 ) -> None:
@@ -42,6 +43,7 @@ def test_simulated_photographs_are_read_with_the_colours_that_the_waves_have(
     assert "http://" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_a_series_is_shown_as_a_table(cli: Cli, taken: tuple[Path, dict[str, Any]]) -> None:
     done = cli("photos", "out/series.toml", "--inset", "1", cwd=taken[0])
     assert done.returncode == 0, done.stderr
@@ -54,15 +56,14 @@ def test_a_series_is_shown_as_a_table(cli: Cli, taken: tuple[Path, dict[str, Any
     ("arguments", "told"),
     [
         (("photos", "none.toml"), "none.toml: the series cannot be read"),
-        (("photos", "out/series.toml", "--inset", "nan"), "between 0 and 1"),
+        (("photos", "none.toml", "--inset", "nan"), "between 0 and 1"),
         (("simulate", "photos", "sample-6", "-o", "x"), "was polished"),
         (("simulate", "photos", "gaussian:1:5", "--led", "50", "-o", "x"), "0 to 10 degrees"),
+        (("simulate", "photos", "gaussian:6:5", "-o", "x"), "points wide at this pitch"),
     ],
 )
-def test_bad_input_gets_one_line(
-    cli: Cli, taken: tuple[Path, dict[str, Any]], arguments: tuple[str, ...], told: str
-) -> None:
-    done = cli(*arguments, cwd=taken[0])
+def test_bad_input_gets_one_line(cli: Cli, tmp_path: Path, arguments: tuple[str, ...], told: str) -> None:
+    done = cli(*arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert told in done.stderr
     assert "Traceback" not in done.stderr

@@ -187,3 +187,11 @@ def test_an_uneven_panel_is_told(files: Path) -> None:
     spoil(files, "w.tif", tilt)
     # over the middle third of the width, the brightness runs from 5/6 to 7/6
     assert read_series(files / "series.toml").unevenness == pytest.approx((1 / 3) / 12**0.5, rel=0.1)
+
+
+def test_the_documented_series_can_be_read() -> None:
+    series = load_series(Path(__file__).parents[2] / "docs" / "photos.toml")
+    assert [shot.exposure for shot in series.frames] == [0.5, 1 / 125]
+    lines = (Path(__file__).parents[2] / "docs" / "photos.toml").read_text().splitlines()
+    documented = {line.lstrip("# ").split(" =")[0] for line in lines if " = " in line}
+    assert set(Series.model_fields) <= documented
