@@ -106,6 +106,11 @@ def xyz_to_rgb(xyz: FloatArray) -> FloatArray:
     return np.asarray(xyz @ (matrix / (matrix @ white)[:, None]).T)
 
 
+def rgb_to_xyz(rgb: FloatArray) -> FloatArray:
+    """[..., 3] XYZ under D65 of [..., 3] linear BT.709, which has the primaries of sRGB: undoes `xyz_to_rgb`."""
+    return np.asarray(rgb @ np.linalg.inv(xyz_to_rgb(np.eye(3))))
+
+
 def brdf_to_rgb(brdf: FloatArray, theta_in: FloatArray, wavelengths: FloatArray) -> FloatArray:
     """[points, 3] linear BT.709 of spectra [points, wavelengths]; a uniform 1/sr at normal incidence is (1, 1, 1)."""
     return xyz_to_rgb(brdf_to_xyz(brdf, theta_in, wavelengths))

@@ -23,6 +23,7 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_da
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_import import register as add_import
+from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
 from api.cli_tradeoff import register as add_tradeoff
@@ -287,6 +288,7 @@ def export(
 add_characterisations(app)
 add_choose(app)
 add_import(app)
+add_photos(app)
 add_quality(app)
 add_tradeoff(app)
 app.add_typer(simulate, name="simulate")

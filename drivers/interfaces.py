@@ -1,10 +1,11 @@
-"""The three kinds of device on the bench, as the rest of the system sees them.
+"""The kinds of device on the bench, as the rest of the system sees them.
 
 Angles are degrees, times seconds, temperatures degrees Celsius. All methods raise `DriverError`.
 """
 
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Protocol
 
 from drivers.arrays import CountArray, FloatArray
@@ -185,3 +186,39 @@ class Light(Protocol):
 
     async def set_shutter(self, is_open: bool) -> None:
         """Open or close the shutter; a closed shutter gives a dark signal."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A picture that a camera took."""
+
+    path: Path
+    """The file, with the ending that the camera gives its files, e.g. ".nef"."""
+    exposure: float
+    """Nominal exposure time that the camera was set to, seconds."""
+
+
+class Camera(Protocol):
+    """A camera whose exposure is set by hand: mode, sensitivity, aperture and file format never change once open."""
+
+    name: str
+    """How the operator calls it."""
+
+    async def open(self) -> None:
+        """Connect, check the identity and make all settings but the exposure time.
+
+        Raises `DeviceNotFound` when no such camera answers, and `DeviceRefused` for a setting that it does not have.
+        """
+
+    async def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+
+    async def identity(self) -> str:
+        """Maker, model and serial number."""
+
+    async def capture(self, path: Path, exposure: float) -> Photograph:
+        """Expose for `exposure` seconds and put the picture into a file called `path` but for its ending.
+
+        Raises `DeviceRefused` for an exposure time that the camera does not have, and `FileExistsError` before anything
+        is exposed where a file is in the way.
+        """

@@ -119,7 +119,7 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
     together = max(1, _AT_ONCE // (nx * count))
     for low in range(-harmonics, harmonics + 1, together):
         high = min(low + together - 1, harmonics)
-        columns = _transformed_columns(heights, fade_across, (low, high), (first, count), step)
+        columns = transformed_columns(heights, fade_across, (low, high), (first, count), step)
         columns *= fade_along[:, None, None].astype(np.float32)
         for index, harmonic in enumerate(range(low, high + 1)):
             along = fft.ifft(columns[:, index, :], axis=0)
@@ -127,7 +127,7 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
     return PowerSpectrum(power, across_um, along_um, step, first, smallest_window_um)
 
 
-def _transformed_columns(
+def transformed_columns(
     heights: FloatArray, fade: FloatArray, harmonics: tuple[int, int], grid: tuple[int, int], step: float
 ) -> NDArray[np.complex64]:
     """[x, harmonics, kz] mean over y of `fade` exp(i (k_b y + kz h)), b from the first to the last of `harmonics`.
