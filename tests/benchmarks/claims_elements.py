@@ -25,28 +25,23 @@ the wanted direction, are left out."""
 
 
 def mean_squares(field: HeightField, s_um: float, apart_um: float, kx: FloatArray, kz: FloatArray) -> FloatArray:
-    """[4, targets] mean |I|^2 in um^2 over windows `apart_um` from each other, each quarter of a periodic map by itself.
-
-    `kx`, `kz` [targets] in 1/um.
-    """
-    heights = complete(field)
+    """[targets] mean |I|^2 in um^2 over windows `apart_um` from each other on a periodic map; `kx`, `kz` in 1/um."""
+    heights, size = complete(field), field.heights_um.shape[0]
     tilt_y, tilt_x = ((np.roll(heights, -1, a) - np.roll(heights, 1, a)) / (2 * field.pitch_um) for a in (0, 1))
     half = int(REACH * s_um / field.pitch_um)
     place = np.arange(-half, half + 1) * field.pitch_um
-    window = np.exp(-(place**2 + place[:, None] ** 2) / (2 * s_um**2)) / (sqrt(np.pi) * s_um) * field.pitch_um**2
-    near = place**2 + place[:, None] ** 2 <= (REACH * s_um) ** 2
-    count = round(heights.shape[0] * field.pitch_um / apart_um)
-    step = heights.shape[0] // count
-    total = np.zeros((4, kx.size))
-    for row in range(count):
-        for column in range(count):
-            rows, columns = (np.arange(c * step - half, c * step + half + 1) % heights.shape[0] for c in (row, column))
-            there = np.ix_(rows, columns)
-            parts = (a[there][near] for a in (heights, tilt_x, tilt_y))
-            x = np.broadcast_to(place, near.shape)[near]
-            quarter = 2 * (2 * row // count) + 2 * column // count
-            total[quarter] += _squares(x, window[near], *parts, kx, kz, SIGMA * field.pitch_um)
-    return total / (count**2 / 4)
+    squared = place**2 + place[:, None] ** 2
+    near = squared <= (REACH * s_um) ** 2
+    window = np.exp(-squared[near] / (2 * s_um**2)) / (sqrt(np.pi) * s_um) * field.pitch_um**2
+    x = np.broadcast_to(place, near.shape)[near]
+    middles = np.arange(0, size, apart_um / field.pitch_um)[: int(size * field.pitch_um / apart_um)].astype(int)
+    total = np.zeros(kx.size)
+    for row in middles:
+        for column in middles:
+            there = np.ix_(*(np.arange(c - half, c + half + 1) % size for c in (row, column)))
+            parts = (each[there][near] for each in (heights, tilt_x, tilt_y))
+            total += _squares(x, window, *parts, kx, kz, SIGMA * field.pitch_um)
+    return total / middles.size**2
 
 
 @numba.njit(fastmath=True)

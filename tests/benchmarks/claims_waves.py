@@ -16,9 +16,10 @@ from drivers.arrays import FloatArray
 from simulators.diffraction import Coherence, seen_through
 from simulators.heights import HeightField
 from simulators.materials import SAMPLES
-from simulators.sampling import CoarseSampling
+from simulators.sampling import CoarseSampling, refined
 from simulators.synthesis import sandblasted_sample, with_micro_roughness
-from simulators.waves import Averaged, Kernel, averaged, averaged_brdf
+from simulators.waves import Averaged, Kernel, averaged, averaged_brdf, obliquity, scattering_vectors
+from tests.benchmarks.claims_elements import mean_squares
 
 NM = np.linspace(380.0, 780.0, 20)
 INCIDENT, REFLECTED = np.array([0.0, 20.0, 40.0, 60.0]), np.arange(-80.0, 81.0, 2.0)
@@ -40,8 +41,12 @@ BANDS = {
 """Of theta_m, degrees."""
 
 PATCH_UM = 256.0
-FINE_UM = 0.0625
+SMOOTH_UM, FINE_UM = 0.125, 0.0625
+"""Pitch of smooth craters, and of those with micro-roughness."""
 WINDOW = seen_through(1.0)
+FIXED = Coherence(WINDOW.s_um, grows=False)
+APART_UM = 51.2
+"""Distance of the windows through which a map of Gaussian elements is seen."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +64,11 @@ class Slopes:
 
     def band(self, tilts: tuple[float, float], theta_in: float | None = None) -> tuple[float, float, float]:
         """Mean slope of the directions between `tilts` that are not dark, its standard error, and their share."""
-        inside = (TILT >= tilts[0]) & (TILT <= tilts[1])
+        inside = (tilts[0] <= TILT) & (tilts[1] >= TILT) & np.isfinite(self.brdf)
         if theta_in is not None:
-            inside &= IN == theta_in
+            inside &= theta_in == IN
+        if not inside.any():
+            return float("nan"), float("nan"), float("nan")
         lit = inside & (self.brdf > DARK)
         if not lit.any():
             return float("nan"), float("nan"), 0.0
@@ -100,16 +107,30 @@ def planes(field: HeightField, coherence: Coherence = WINDOW) -> list[Averaged]:
         return [averaged(each, IN, OUT, NM, coherence) for each in (field, across)]
 
 
-def looked_at(fields: Iterable[HeightField]) -> Slopes:
+def looked_at(fields: Iterable[HeightField], coherence: Coherence = WINDOW) -> Slopes:
     """Slopes from all `fields`, each seen in both planes."""
-    return slopes(np.stack([spectra(plane) for field in fields for plane in planes(field)]))
+    return slopes(np.stack([spectra(plane) for field in fields for plane in planes(field, coherence)]))
 
 
-def craters(sample: str, seed: int, pitch_um: float = FINE_UM, patch_um: float = PATCH_UM) -> HeightField:
+def craters(sample: str, seed: int, pitch_um: float = SMOOTH_UM, patch_um: float = PATCH_UM) -> HeightField:
     """A smooth sandblasted patch."""
     return sandblasted_sample(SAMPLES[sample], round(patch_um / pitch_um), pitch_um, seed).field
 
 
-def rough(field: HeightField, seed: int, rms_um: float = 0.04) -> HeightField:
-    """With micro-roughness of 0.2 um correlation on it."""
-    return with_micro_roughness(field, 1000 + seed, rms_um)
+def rough(smooth: HeightField, seed: int, rms_um: float = 0.04, correlation_um: float = 0.2) -> HeightField:
+    """`smooth` at the pitch `FINE_UM`, with micro-roughness on it."""
+    fine = refined(smooth, round(smooth.pitch_um / FINE_UM))
+    return with_micro_roughness(fine, 1000 + seed, rms_um, correlation_um)
+
+
+def by_elements(fields: Iterable[HeightField]) -> Slopes:
+    """Slopes from coarse `fields` read as Gaussian elements, at every other direction of 0 and 40 degrees incidence."""
+    some = np.flatnonzero((OUT % 4 == 0) & np.isin(IN, (0.0, 40.0)))
+    kx, kz = (each[some].ravel() for each in scattering_vectors(IN, OUT, NM))
+    factor = obliquity(Kernel.HARVEY_SHACK, IN, OUT)[some, None] / (1e-3 * NM) ** 2
+    looks = []
+    for field in fields:
+        square = mean_squares(field, WINDOW.s_um, APART_UM, kx, kz)
+        looks.append(np.full((IN.size, NM.size), np.nan))
+        looks[-1][some] = square.reshape(some.size, NM.size) * factor
+    return slopes(np.stack(looks))
