@@ -1,4 +1,4 @@
-"""What wave optics and rays say of the paper's claims, on synthetic Samples 1 to 5; docs/diffraction-claims.md reads it.
+"""What waves and rays say of the paper's claims on synthetic Samples 1 to 5; docs/diffraction-claims.md reads it.
 
     python -m tests.benchmarks.claims [waves] [rays] [--figure FILE.svg]
 
@@ -166,8 +166,8 @@ def how_it_is_seen() -> None:
     )
     fit = local_fit(computed_dataset(Computed("sample-1", *there, metal, np.zeros_like(metal), 0.01 * metal, 0.0, {})))
     print(
-        f"local fit of the same on aluminium, theta_in 20 to 60: its slope departs from the line's by "
-        f"{np.median(np.abs(fit.slope - line(bare)[1])):.2f} 1/um, its exponent is {np.median(fit.exponent):.1f} (medians)"
+        f"local fit of the same on aluminium, theta_in 20 to 60, medians: its slope departs from the line's by "
+        f"{np.median(np.abs(fit.slope - line(bare)[1])):.2f} 1/um, its exponent is {np.median(fit.exponent):.1f}"
     )
 
 
@@ -195,9 +195,8 @@ def drawn(smooth: Mapping[str, Slopes], micro: Mapping[str, Slopes]) -> str:
         for axes, (title, results) in zip((left, right), panels, strict=True):
             axes.axhline(0, color=INK, linewidth=0.6, alpha=0.5)
             axes.axvline(0, color=INK, linewidth=0.6, alpha=0.5)
-            for number, (_colour, (name, found)) in enumerate(
-                zip(line_colours(len(results)), results.items(), strict=True)
-            ):
+            colours = line_colours(len(results))
+            for number, (name, found) in enumerate(results.items()):
                 points = [found.band(pair) for pair in pairwise(edges)]
                 slope, error, lit = np.array(points).T
                 shown = lit >= 0.5

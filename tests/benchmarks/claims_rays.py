@@ -6,15 +6,16 @@ share is that of the BRDF, averaged over these directions. Errors are from the j
 incidence.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from analysis.fresnel import fresnel_conductor, load_conductor
-from drivers.arrays import FloatArray
+from drivers.arrays import BoolArray, FloatArray
 from simulators.heights import HeightField, complete, roughness
 from simulators.rays import virtual_scan
+from simulators.sampling import refined
 from simulators.synthesis import with_micro_roughness
 from tests.benchmarks.claims_waves import craters
 
@@ -26,6 +27,9 @@ RAYS = 200_000
 """Of each patch, plane and incident angle."""
 SEEDS = (1, 2)
 PITCH_UM, FINE_UM = 0.25, 0.1
+CONES = ((0.01, 1.5), (0.01, 3.0), (0.002, 6.0), (0.01, 6.0), (0.05, 6.0), (0.01, -6.0), (0.05, -6.0))
+"""Share of the area and height, um, of cones of `RADIUS_UM`; the last are pits."""
+RADIUS_UM = 1.5
 
 
 def aluminium(cosine: FloatArray) -> FloatArray:
@@ -46,48 +50,70 @@ def cones(field: HeightField, seed: int, share: float, radius_um: float, height_
     return replace(field, heights_um=heights)
 
 
-def shares(fields: Iterable[HeightField], theta_in: float, rays: int = RAYS) -> str:
-    """Cells of one incident angle: share of multiple reflections forward and back, and the BRDF back."""
+def scanned(fields: Sequence[HeightField], theta_in: float) -> FloatArray:
+    """[looks, points, orders] BRDF of each patch in both planes of incidence, 1/sr."""
     looks = [
-        virtual_scan(field, theta_in, OUT, aluminium, rays, seed, APERTURE, azimuth).brdf[:, :, 0]
+        virtual_scan(field, theta_in, OUT, aluminium, RAYS, seed, APERTURE, azimuth).brdf[:, :, 0]
         for seed, field in enumerate(fields)
         for azimuth in (0.0, 90.0)
     ]
-    parts = {"forward": theta_in - 15 <= OUT, "back": OUT <= -15}
-    text = ""
-    for where, inside in parts.items():
-        if where == "back" and theta_in == 0:
-            continue  # there is no back
-        by_order = np.array([look[inside].mean(axis=0) for look in looks])
-        total = by_order.sum(axis=0)
-        if total.sum() == 0:
-            text += f"{'no light':>18}"
-            continue
-        multiple = 1 - total[0] / total.sum()
-        left = total - by_order
-        without = 1 - left[:, 0] / left.sum(axis=1)
-        error = np.sqrt((len(looks) - 1) * without.var())
-        text += f"{f'{100 * multiple:.1f} ± {100 * error:.1f}':>18}"
-        if where == "back":
-            text += f"{f' ({total.sum() / len(looks):.4f})':>9}"
-    return text
+    return np.stack(looks)
 
 
-def row(name: str, fields: Sequence[HeightField], rays: int = RAYS) -> None:
-    """Print one surface: its excess of area, then all incident angles."""
-    area = 1 + np.mean([roughness(field).sdr for field in fields])
-    print(f"{name:32}{area:7.3f}" + "".join(shares(fields, theta_in, rays) for theta_in in INCIDENT), flush=True)
+def share(looks: FloatArray, inside: BoolArray) -> str:
+    """Cell of the share of multiple reflections in the directions `inside`, %, and its standard error."""
+    by_order = looks[:, inside].mean(axis=1)
+    total = by_order.sum(axis=0)
+    if total.sum() == 0:
+        return f"{'no light':>12}"
+    left = total - by_order
+    without = 1 - left[:, 0] / left.sum(axis=1)
+    error = np.sqrt((len(looks) - 1) * without.var())
+    return f"{f'{100 * (1 - total[0] / total.sum()):.1f} ± {100 * error:.1f}':>12}"
+
+
+def row(name: str, fields: Sequence[HeightField]) -> FloatArray:
+    """Print one surface: its area, then all incident angles. Returns the BRDF at 60 degrees, see `scanned`."""
+    print(f"{name:34}{1 + np.mean([roughness(field).sdr for field in fields]):7.3f}", end="")
+    for theta_in in INCIDENT:
+        looks = scanned(fields, theta_in)
+        back = OUT <= -15
+        print(share(looks, theta_in - 15 <= OUT), end="")
+        if theta_in > 0:
+            print(f"{share(looks, back)} ({looks[:, back].sum(axis=2).mean():.4f})", end="")
+        if theta_in == 60:
+            oblique = looks
+    print(flush=True)
+    return oblique
 
 
 def tables(samples: Sequence[str]) -> None:
     """Print all."""
     print("\nshare of multiple reflections, %, forward and back, and in brackets the whole BRDF back, 1/sr")
-    print(
-        f"{'surface':32}{'area':>7}"
-        + "".join(f"{f'forward {a:g}':>18}" + f"{f'back {a:g}':>27}" * (a > 0) for a in INCIDENT)
-    )
+    print(f"{'surface':34}{'area':>7}", end="")
+    print("".join(f"{f'forward {angle:g}':>12}" + f"{f'back {angle:g}':>21}" * (angle > 0) for angle in INCIDENT))
+    oblique, rough = {}, []
     for name in samples:
-        smooth = [craters(name, seed, PITCH_UM, 512.0) for seed in SEEDS]
-        row(f"{name}, smooth", smooth)
-        fine = [craters(name, seed, FINE_UM) for seed in SEEDS]
-        row(f"{name}, micro-roughness", [with_micro_roughness(f, 1000 + s) for f, s in zip(fine, SEEDS, strict=True)])
+        oblique[f"{name}, smooth"] = row(f"{name}, smooth", [craters(name, seed, PITCH_UM, 512.0) for seed in SEEDS])
+        fine = [with_micro_roughness(craters(name, seed, FINE_UM), 1000 + seed) for seed in SEEDS]
+        oblique[f"{name}, micro-roughness"] = row(f"{name}, micro-roughness", fine)
+        rough = rough or fine
+    smooth = [craters("sample-1", seed, PITCH_UM, 512.0) for seed in SEEDS]
+    for part, height_um in (
+        (0.01, 1.5),
+        (0.01, 3.0),
+        (0.002, 6.0),
+        (0.01, 6.0),
+        (0.05, 6.0),
+        (0.01, -6.0),
+        (0.05, -6.0),
+    ):
+        name = f"sample-1, {'cones' if height_um > 0 else 'pits'} {abs(height_um):g} um, {100 * part:g} %"
+        oblique[name] = row(name, [cones(field, 1, part, RADIUS_UM, height_um) for field in smooth])
+    row("sample-1, smooth, half the pitch", [refined(field, 2) for field in smooth])
+    row("sample-1, micro, half the pitch", [refined(field, 2) for field in rough])
+    wide = np.arange(-80.0, 81.0, 20.0)
+    print("\nthe same at an incident angle of 60 degrees, over theta_out, 20 degrees each")
+    print(f"{'surface':34}" + "".join(f"{middle:>12g}" for middle in wide))
+    for name, looks in oblique.items():
+        print(f"{name:34}" + "".join(share(looks, np.abs(middle - OUT) <= 10) for middle in wide))

@@ -1,7 +1,7 @@
 """Slopes of spectra by wave optics, over surfaces that differ in one thing at a time; part of `claims`.
 
 Spectra are means over all places of the window on a periodic patch, over both planes of incidence along its sides, over
-light from either side, and over seeds. A straight line with a free scale, a (1 + m (lambda - 600 nm)), is fitted to each
+light from either side, and over seeds. To each, a straight line with a free scale is fitted, a (1 + m (lambda - 600)),
 without Fresnel's reflectance, which all kernels only multiply: m is what diffraction does. Errors are from the
 jackknife over seeds and planes of incidence. Directions darker than `DARK` are left out.
 """
