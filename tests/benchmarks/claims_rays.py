@@ -26,7 +26,8 @@ OUT = np.arange(-85.0, 86.0, 5.0)
 RAYS = 200_000
 """Of each patch, plane and incident angle."""
 SEEDS = (1, 2)
-PITCH_UM, FINE_UM = 0.25, 0.1
+PITCH_UM, FINE_UM = 0.5, 0.1
+"""Of smooth craters, and of those with micro-roughness."""
 CONES = ((0.01, 1.5), (0.01, 3.0), (0.002, 6.0), (0.01, 6.0), (0.05, 6.0), (0.01, -6.0), (0.05, -6.0))
 """Share of the area and height, um, of cones of `RADIUS_UM`; the last are pits."""
 RADIUS_UM = 1.5
@@ -98,19 +99,11 @@ def tables(samples: Sequence[str]) -> None:
         fine = [with_micro_roughness(craters(name, seed, FINE_UM), 1000 + seed) for seed in SEEDS]
         oblique[f"{name}, micro-roughness"] = row(f"{name}, micro-roughness", fine)
         rough = rough or fine
-    smooth = [craters("sample-1", seed, PITCH_UM, 512.0) for seed in SEEDS]
-    for part, height_um in (
-        (0.01, 1.5),
-        (0.01, 3.0),
-        (0.002, 6.0),
-        (0.01, 6.0),
-        (0.05, 6.0),
-        (0.01, -6.0),
-        (0.05, -6.0),
-    ):
+    finer = [refined(craters("sample-1", seed, PITCH_UM, 512.0), 2) for seed in SEEDS]
+    for part, height_um in CONES:
         name = f"sample-1, {'cones' if height_um > 0 else 'pits'} {abs(height_um):g} um, {100 * part:g} %"
-        oblique[name] = row(name, [cones(field, 1, part, RADIUS_UM, height_um) for field in smooth])
-    row("sample-1, smooth, half the pitch", [refined(field, 2) for field in smooth])
+        oblique[name] = row(name, [cones(field, 1, part, RADIUS_UM, height_um) for field in finer])
+    row("sample-1, smooth, half the pitch", finer)
     row("sample-1, micro, half the pitch", [refined(field, 2) for field in rough])
     wide = np.arange(-80.0, 81.0, 20.0)
     print("\nthe same at an incident angle of 60 degrees, over theta_out, 20 degrees each")

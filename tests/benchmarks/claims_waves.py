@@ -16,7 +16,7 @@ from drivers.arrays import FloatArray
 from simulators.diffraction import Coherence, seen_through
 from simulators.heights import HeightField
 from simulators.materials import SAMPLES
-from simulators.sampling import CoarseSampling, refined
+from simulators.sampling import CoarseSampling
 from simulators.synthesis import sandblasted_sample, with_micro_roughness
 from simulators.waves import Averaged, Kernel, averaged, averaged_brdf, obliquity, scattering_vectors
 from tests.benchmarks.claims_elements import mean_squares
@@ -41,8 +41,7 @@ BANDS = {
 """Of theta_m, degrees."""
 
 PATCH_UM = 256.0
-SMOOTH_UM, FINE_UM = 0.125, 0.0625
-"""Pitch of smooth craters, and of those with micro-roughness."""
+PITCH_UM = 0.1
 WINDOW = seen_through(1.0)
 FIXED = Coherence(WINDOW.s_um, grows=False)
 APART_UM = 51.2
@@ -112,15 +111,14 @@ def looked_at(fields: Iterable[HeightField], coherence: Coherence = WINDOW) -> S
     return slopes(np.stack([spectra(plane) for field in fields for plane in planes(field, coherence)]))
 
 
-def craters(sample: str, seed: int, pitch_um: float = SMOOTH_UM, patch_um: float = PATCH_UM) -> HeightField:
+def craters(sample: str, seed: int, pitch_um: float = PITCH_UM, patch_um: float = PATCH_UM) -> HeightField:
     """A smooth sandblasted patch."""
     return sandblasted_sample(SAMPLES[sample], round(patch_um / pitch_um), pitch_um, seed).field
 
 
 def rough(smooth: HeightField, seed: int, rms_um: float = 0.04, correlation_um: float = 0.2) -> HeightField:
-    """`smooth` at the pitch `FINE_UM`, with micro-roughness on it."""
-    fine = refined(smooth, round(smooth.pitch_um / FINE_UM))
-    return with_micro_roughness(fine, 1000 + seed, rms_um, correlation_um)
+    """`smooth` with micro-roughness on it."""
+    return with_micro_roughness(smooth, 1000 + seed, rms_um, correlation_um)
 
 
 def by_elements(fields: Iterable[HeightField]) -> Slopes:
