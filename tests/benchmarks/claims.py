@@ -44,7 +44,7 @@ from tests.benchmarks.claims_waves import (
 )
 
 NAMES = tuple(f"sample-{number}" for number in range(1, 6))
-SEEDS = (1, 2)
+SEEDS = (2, 3)
 
 
 def cells(found: Slopes, theta_in: float | None = None) -> str:
@@ -115,10 +115,10 @@ def by_incidence(smooth: Slopes, micro: Slopes) -> None:
 
 def micro_roughness() -> None:
     """Print slopes over the height and the correlation length of the micro-roughness."""
-    heading("Sample 1, other micro-roughness (seed 1)", "rms, correlation")
+    heading("Sample 1, other micro-roughness (seed 2)", "rms, correlation")
     for rms_um, correlation_um in ((0.03, 0.2), (0.04, 0.2), (0.05, 0.2), (0.04, 0.15), (0.04, 0.3)):
-        patch = craters("sample-1", 1, min(PITCH_UM, correlation_um / 2))
-        found = looked_at([rough(patch, 1, rms_um, correlation_um)])
+        patch = craters("sample-1", 2, min(PITCH_UM, correlation_um / 2))
+        found = looked_at([rough(patch, 2, rms_um, correlation_um)])
         print(f"{f'{1000 * rms_um:g} nm, {correlation_um:g} um':34}{cells(found)}", flush=True)
 
 
@@ -149,8 +149,8 @@ def noisy(field: HeightField, seed: int, rms_um: float) -> HeightField:
 
 def how_it_is_seen() -> None:
     """Print slopes of one surface for all windows, kernels, and by the local fit with Fresnel's reflectance."""
-    heading("Sample 1 with micro-roughness (seed 1), seen in other ways", "")
-    seen = planes(rough(craters("sample-1", 1), 1))
+    heading("Sample 1 with micro-roughness (seed 2), seen in other ways", "")
+    seen = planes(rough(craters("sample-1", 2), 2))
     fixed = [replace(plane, coherence=FIXED) for plane in seen]
     for way, surfaces in (("window grows with wavelength", seen), ("window of one size", fixed)):
         print(f"{way:34}{cells(slopes(np.stack([spectra(plane) for plane in surfaces])))}")
@@ -174,14 +174,14 @@ def how_it_is_seen() -> None:
 def convergence() -> None:
     """Print what changes when the pitch is halved, and what pitch is needed."""
     heading("convergence", "")
-    small = craters("sample-1", 1, patch_um=160.0)
-    for kind, patch in (("smooth", small), ("micro-roughness", rough(small, 1))):
+    small = craters("sample-1", 2, patch_um=160.0)
+    for kind, patch in (("smooth", small), ("micro-roughness", rough(small, 2))):
         needed = sampling(patch, *scattering_vectors(IN, OUT, NM), float(WINDOW.size(NM).min())).needed_um
         for times in (1, 2):
             fine = refined(patch, times)
             print(f"{f'160 um, {kind}, pitch {1000 * fine.pitch_um:.4g} nm':34}{cells(looked_at([fine]))}", flush=True)
         print(f"  the sampling criterion asks for {1000 * needed:.0f} nm")
-    made_fine = looked_at([craters("sample-1", 1, PITCH_UM / 2, 160.0)])
+    made_fine = looked_at([craters("sample-1", 2, PITCH_UM / 2, 160.0)])
     print(f"{'160 um, smooth, made at 50 nm':34}{cells(made_fine)}")
 
 
@@ -205,7 +205,7 @@ def drawn(smooth: Mapping[str, Slopes], micro: Mapping[str, Slopes]) -> str:
                     middle[shown], slope[shown], 2 * error[shown],
                     fmt="o-", color=colours[number], markersize=2.6, linewidth=1.1, elinewidth=0.9, label=name,
                 )  # fmt: skip
-            axes.set(title=title, xlim=(-72, 42), ylim=(-6, 8), xlabel="θ m towards the lamp (−), the horizon (+) / °")
+            axes.set(title=title, xlim=(-72, 42), ylim=(-5, 5), xlabel="θ m towards the lamp (−), the horizon (+) / °")
             axes.grid(True)
         left.set_ylabel("slope m / (1/µm)")
         left.legend(frameon=False, loc="upper left")

@@ -25,7 +25,7 @@ APERTURE = 5.0
 OUT = np.arange(-85.0, 86.0, 5.0)
 RAYS = 200_000
 """Of each patch, plane and incident angle."""
-SEEDS = (1, 2)
+SEEDS = (2, 3)
 PITCH_UM, FINE_UM = 0.5, 0.1
 """Of smooth craters, and of those with micro-roughness."""
 CONES = ((0.01, 1.5), (0.01, 3.0), (0.002, 6.0), (0.01, 6.0), (0.05, 6.0), (0.01, -6.0), (0.05, -6.0))
