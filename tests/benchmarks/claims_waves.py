@@ -78,11 +78,12 @@ class Slopes:
 
 
 def line(spectra: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Level at 600 nm, slope in 1/um and relative rms residual [...] of `spectra` [..., wavelengths]."""
+    """Level at 600 nm, slope in 1/um and relative rms residual [...] of `spectra` [..., nm]; NaN where dark."""
     columns = np.stack([np.ones_like(NM), (NM - 600) / 1000], axis=1)
     level, rise = np.moveaxis(spectra @ np.linalg.pinv(columns).T, -1, 0)
     residual = spectra - np.stack([level, rise], axis=-1) @ columns.T
-    return level, rise / level, np.sqrt((residual**2).mean(axis=-1)) / np.abs(level)
+    lit = np.where(level == 0, np.nan, level)
+    return level, rise / lit, np.sqrt((residual**2).mean(axis=-1)) / np.abs(lit)
 
 
 def slopes(looks: FloatArray) -> Slopes:
