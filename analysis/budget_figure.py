@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.svg import INK, new_axes, style, to_svg
+from analysis.wording import words
 from drivers.arrays import FloatArray
 from goniometer.budget import (
     COVERAGE,
@@ -20,6 +21,7 @@ from goniometer.budget import (
 )
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH
+from goniometer.sector import is_hidden
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,11 +41,17 @@ LOOKS: dict[str, tuple[str, str, str]] = {
 """Colour, hatch of the area and dashes of the line of every part of a budget. Neighbours differ in more than hue, for
 eyes that see no difference between some of these."""
 
-PANELS = (
+_PANELS = (
     "Areas: what the variance consists of, wavelength by wavelength. Lines: relative standard uncertainty (coverage "
-    "factor 1) over the reflected angle; dots are measured directions, grey is blocked by the detector."
+    "factor 1) over the reflected angle; dots are {done} directions{blocked}."
 )
-"""What the panels show, in words."""
+
+
+def panels_in_words(dataset: Dataset) -> str:
+    """What the panels show."""
+    blocked = "" if dataset.simulated else ", grey is blocked by the detector"
+    return _PANELS.format(done=words(dataset).done, blocked=blocked)
+
 
 SMALLEST_SHARE = 0.005
 """Of the variance: parts that stay below it at all wavelengths have no area of their own."""
@@ -122,16 +130,20 @@ def _over_angle(dataset: Dataset, parts: dict[str, FloatArray], point: int, colu
     row = row[np.argsort(dataset.theta_out[row])]
     theta_in, wavelength = float(dataset.theta_in[point]), float(dataset.wavelengths[column])
     theta_out, brdf = dataset.theta_out[row], dataset.brdf[row, column]
-    gap = int(np.searchsorted(theta_out, -theta_in))  # the lines break in the blocked directions
+    blocked = is_hidden(dataset, theta_in)
+    gap = int(np.searchsorted(theta_out, -theta_in))
 
     def broken(values: FloatArray) -> FloatArray:
-        return np.insert(values, gap, np.nan)
+        """The lines break in the blocked directions."""
+        return np.insert(values, gap, np.nan) if blocked else values
 
     total = 100 * dataset.u[row, column] / brdf
     top = float(np.nanmax(total, initial=1e-3))
     with style():
         figure, axes = new_axes(430, 290, left=56, right=112)
-        axes.axvspan(-theta_in - BLOCKED_HALF_WIDTH, -theta_in + BLOCKED_HALF_WIDTH, color=INK, alpha=0.1, linewidth=0)
+        if blocked:
+            sector = -theta_in - BLOCKED_HALF_WIDTH, -theta_in + BLOCKED_HALF_WIDTH
+            axes.axvspan(*sector, color=INK, alpha=0.1, linewidth=0)
         for part, u in parts.items():
             colour, _, dashes = LOOKS[part]
             relative = 100 * np.where(u[row, column] > 0, u[row, column], np.nan) / brdf
@@ -176,15 +188,15 @@ def _direction(theta_in: float, theta_out: float) -> str:
     return f"θ in = {theta_in:.1f}°, θ out = {theta_out:.1f}°".replace("-", "−")
 
 
-def budget_page(found: Budget, panels: list[str]) -> str:
-    """An HTML page of its own with a budget as a table and its panels."""
+def budget_page(found: Budget, panels: list[str], caption: str) -> str:
+    """An HTML page of its own with a budget as a table and its panels above their caption."""
     title = f"{found.sample}: uncertainty budget"
     css = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{css}</style>\n</head>\n<body>\n<main>\n<h1>{escape(title)}</h1>\n{budget_table(found)}\n"
-        f'<figure><div class="panels">{"".join(panels)}</div><figcaption>{PANELS}</figcaption></figure>\n'
+        f'<figure><div class="panels">{"".join(panels)}</div><figcaption>{caption}</figcaption></figure>\n'
         "</main>\n</body>\n</html>\n"
     )
 

@@ -134,7 +134,7 @@ def describe(fit: ModelFit, dataset: Dataset) -> str:
     low_in, high_in, low_out, high_out = fit.theta_range
     lines = [
         f"Fitted model of sample {dataset.sample}: {fit.equation}.",
-        "This is the model, not the measurement: an in-plane scan cannot fill a hemisphere.",
+        "This is the model, not the data behind it: an in-plane scan cannot fill a hemisphere.",
         f"Fitted in plane for theta_in {low_in:g} to {high_in:g} deg, theta_out {low_out:g} to {high_out:g} deg, "
         f"{fit.wavelength_range[0]:g} to {fit.wavelength_range[1]:g} nm; everything else is extrapolated.",
         f"Dataset SHA-256 {dataset.content_hash}.",

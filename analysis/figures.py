@@ -24,6 +24,7 @@ from goniometer.budget import COVERAGE_FACTOR
 from goniometer.dataset import Dataset
 from goniometer.fill import Filled
 from goniometer.geometry import BLOCKED_HALF_WIDTH
+from goniometer.sector import is_hidden
 
 SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#94790f")
 """Anchors of the line colours: told apart by blue against yellow, which colour-blind eyes keep, and all of a
@@ -67,27 +68,30 @@ def line_colours(count: int) -> list[str]:
 # --- in-plane maps (Figs. 5, 8, 13) ----------------------------------------------------------------------------
 
 
-def cell_edges(theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+def cell_edges(dataset: Dataset) -> FloatArray:
     """[points, 4] left, right, bottom and top of each point's cell in (theta_out, theta_in), degrees.
 
-    A cell reaches halfway to its neighbours of the same incident angle, not further than the blocked sector,
+    A cell reaches halfway to its neighbours of the same incident angle, not further than a sector that nobody saw,
     and at the end of a row as far as towards its only neighbour, 3 degrees at most.
     """
+    theta_in, theta_out = dataset.theta_in, dataset.theta_out
     groups = incidence_groups(theta_in, SAME_INCIDENCE)
     rows = np.array([theta_in[groups == g].mean() for g in range(groups.max() + 1)])
     bottoms, tops = _halfway(rows, 5.0)
     edges = np.empty((theta_in.size, 4))
     for g, row in enumerate(rows):
         members = np.flatnonzero(groups == g)
-        for side in (theta_out[members] < -row, theta_out[members] >= -row):
+        broken = is_hidden(dataset, float(row))
+        sides = (theta_out[members] < -row, theta_out[members] >= -row) if broken else (np.ones(members.size, bool),)
+        for side in sides:
             chosen = members[side]
             chosen = chosen[np.argsort(theta_out[chosen], kind="stable")]
             if not chosen.size:
                 continue
             left, right = _halfway(theta_out[chosen], 3.0)
-            if theta_out[chosen[0]] < -row:
+            if broken and theta_out[chosen[0]] < -row:
                 right = np.minimum(right, -row - BLOCKED_HALF_WIDTH)
-            else:
+            elif broken:
                 left = np.maximum(left, -row + BLOCKED_HALF_WIDTH)
             edges[chosen, 0], edges[chosen, 1] = left, right
         edges[members, 2], edges[members, 3] = bottoms[g], tops[g]
@@ -152,7 +156,7 @@ def _unmeasured_cells(dataset: Dataset, filled: Filled | None, exposure: Exposur
         return []
     f, u = at_nearest(filled, 600.0)
     fills = _fills(filled.brdf, filled.theta_in, filled.wavelengths, exposure, f > LEAST_SIGNAL_FOR_HUE * u)
-    rows = {(bottom, top) for _, _, bottom, top in cell_edges(dataset.theta_in, dataset.theta_out).tolist()}
+    rows = {(bottom, top) for _, _, bottom, top in cell_edges(dataset).tolist()}
     return filled_cells(filled, fills, sorted(rows))
 
 
@@ -189,7 +193,7 @@ def _map(
     outlined: BoolArray | None = None,
     unmeasured: Sequence[Cell] = (),
 ) -> str:
-    edges = cell_edges(dataset.theta_in, dataset.theta_out)
+    edges = cell_edges(dataset)
     marked = np.zeros(len(fills), dtype=bool) if outlined is None else outlined
     cells = [
         Cell(
@@ -217,6 +221,8 @@ def _map(
         for g in range(groups.max() + 1):
             centre = -float(dataset.theta_in[groups == g].mean())
             bottom, top = edges[groups == g][0, 2:]
+            if not is_hidden(dataset, -centre):
+                continue
             hatch(
                 axes, centre - BLOCKED_HALF_WIDTH, centre + BLOCKED_HALF_WIDTH, bottom, top, on_colour=bool(unmeasured)
             )
@@ -234,15 +240,17 @@ def _map(
 # --- curves (Figs. 3, 6, 9) ------------------------------------------------------------------------------------
 
 
-def distributions(dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None) -> str:
+def distributions(
+    dataset: Dataset, name: str, wavelength: float = 600.0, filled: Filled | None = None, *, dense: bool = False
+) -> str:
     """Reflectance distributions at one wavelength, nm, of all incident angles on a logarithmic axis (Fig. 3).
 
     Dots are measured values, lines are read between them (`goniometer.between`), straight where the points are too few
-    for that. Bands are expanded uncertainties of both. Values that are not positive are left out; gaps are the blocked
-    sector, dashed where it is `filled`.
+    for that, or so `dense` that nothing need be read between. Bands are expanded uncertainties of both. Values that are
+    not positive are left out; gaps are a sector that nobody saw, dashed where it is `filled`.
     """
     f, u = at_wavelength(dataset, wavelength)
-    enough = np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
+    enough = not dense and np.count_nonzero(dataset.usable & np.isfinite(f)) >= FEWEST
     read = _between(dataset, wavelength) if enough else {}
     with style():
         figure, axes = new_axes(430, 300, right=62, top=10 if filled is None else 34)
@@ -250,7 +258,9 @@ def distributions(dataset: Dataset, name: str, wavelength: float = 600.0, filled
             theta, value, u_value = dataset.theta_out[order], f[order], u[order]
             axes.plot(theta, np.where(value > 0, value, np.nan), "o", color=colour, markersize=1.8)
             theta, value, u_value = read.get(angle, (theta, value, u_value))
-            theta, value, u_value = _with_gap(-angle, theta, np.where(value > 0, value, np.nan), u_value)
+            value = np.where(value > 0, value, np.nan)
+            if is_hidden(dataset, angle):
+                theta, value, u_value = _with_gap(-angle, theta, value, u_value)
             low = np.maximum(value - COVERAGE * u_value, 0.5 * value)
             axes.fill_between(theta, low, value + COVERAGE * u_value, color=colour, alpha=0.25, linewidth=0)
             axes.plot(theta, value, color=colour, linewidth=1.2, label=f"{angle:.0f}°")
@@ -272,7 +282,8 @@ def _between(dataset: Dataset, wavelength: float) -> dict[float, tuple[FloatArra
     grids = {}
     for angle, measured in rows.items():
         theta = np.union1d(measured, np.arange(np.ceil(measured[0]), measured[-1], 0.5))
-        grids[angle] = theta[np.abs(theta + angle) >= BLOCKED_HALF_WIDTH - 0.1]
+        seen = np.abs(theta + angle) >= (BLOCKED_HALF_WIDTH - 0.1 if is_hidden(dataset, angle) else 0.0)
+        grids[angle] = theta[seen]
     near = _at_wavelengths(dataset, wavelength)
     everywhere = np.concatenate([np.full(theta.size, angle) for angle, theta in grids.items()])
     read = interpolate(near, everywhere, np.concatenate(list(grids.values())))
@@ -289,16 +300,23 @@ def _at_wavelengths(dataset: Dataset, wavelength: float) -> Dataset:
     return replace(dataset, wavelengths=dataset.wavelengths[some], brdf=dataset.brdf[:, some], sources=sources)
 
 
-def spectra(dataset: Dataset, local: LocalFit, name: str, theta_in: float = 40.0, count: int = 7) -> str:
+def spectra(
+    dataset: Dataset,
+    local: LocalFit,
+    name: str,
+    theta_in: float = 40.0,
+    count: int = 7,
+    least_signal: float = _LEAST_SIGNAL,
+) -> str:
     """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
 
     Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with the expanded
     uncertainty of its counts (an error that all wavelengths share does not change their ratio), lines the local fit.
-    Spectra that are unreliable or weaker than a hundred standard uncertainties of their counts are not chosen.
+    Spectra that are unreliable or weaker than `least_signal` standard uncertainties of their counts are not chosen.
     """
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
     nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
-    clear = clear_of_noise(dataset, local.lambda_n, _LEAST_SIGNAL)
+    clear = clear_of_noise(dataset, local.lambda_n, least_signal)
     usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
     usable = usable[np.argsort(dataset.theta_out[usable])]
     directions = dataset.theta_out[usable]
@@ -350,7 +368,9 @@ def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str, other: M
         with style():
             figure, axes = new_axes(215, 150, left=40, right=8, bottom=34, top=18)
             axes.axhline(0, color=INK, linewidth=0.6, alpha=0.5)
-            axes.axvspan(-angle - BLOCKED_HALF_WIDTH, -angle + BLOCKED_HALF_WIDTH, color=INK, alpha=0.1, linewidth=0)
+            if is_hidden(dataset, angle):
+                sector = -angle - BLOCKED_HALF_WIDTH, -angle + BLOCKED_HALF_WIDTH
+                axes.axvspan(*sector, color=INK, alpha=0.1, linewidth=0)
             axes.plot(theta, fitted_slope(fit, directions), color=SEQUENCE[-2], linewidth=1.5)
             if other is not None:
                 axes.plot(theta, fitted_slope(other, directions), color=INK, linewidth=1.2, dashes=(4, 2))

@@ -166,7 +166,7 @@ def _fit_part(fit: ModelFit, dataset: Dataset, differences: ColourDifferences) -
 
 def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifferences) -> dict[str, Any]:
     pairs = zip(dataset.theta_in.tolist(), dataset.theta_out.tolist(), strict=True)
-    seen = ~np.array([Geometry(*pair).blocked for pair in pairs], dtype=bool)
+    seen = np.array([dataset.simulated or not Geometry(*pair).blocked for pair in pairs], dtype=bool)
     return {
         "equation": "f = a (1 + m (lambda - lambda_n)) F_norm(theta_in)^p, Eq. 2"
         + ("" if local.fresnel else ", p held at 0"),

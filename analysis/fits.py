@@ -18,6 +18,7 @@ from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import Weight
 from analysis.microfacet import slope_of
 from analysis.results import Comparison, LocalFit, ModelFit, Verdict
+from analysis.wording import words
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
@@ -82,7 +83,7 @@ def local_fit_for(
     """
     if dataset.wavelengths.size < LEAST_WAVELENGTHS:
         raise FitError(
-            f"{dataset.sample} was measured at {dataset.wavelengths.size} "
+            f"{dataset.sample} was {words(dataset).done} at {dataset.wavelengths.size} "
             f"{'wavelength' if dataset.wavelengths.size == 1 else 'wavelengths'}; "
             f"a model of spectra needs at least {LEAST_WAVELENGTHS}."
         )

@@ -115,7 +115,7 @@ def _against_the_model(evidence: Evidence) -> list[str]:
     if evidence.r2 >= LEAST_R2 or evidence.residual_ratio <= LARGEST_RESIDUAL_RATIO:
         return []
     return [
-        f"The model explains only {max(evidence.r2, 0.0):.0%} of how the measurement varies, which noise does not "
+        f"The model explains only {max(evidence.r2, 0.0):.0%} of how the data vary, which noise does not "
         "account for: it is not one of this sample."
     ]
 
@@ -137,7 +137,7 @@ def _outside_the_data(evidence: Evidence) -> list[str]:
     reasons = []
     if nearest > 0.5 * max(width, dataset.aperture):
         reasons.append(
-            f"The lobe is {width:.2g} deg wide, but the direction measured nearest to the mirror's is {nearest:.2g} "
+            f"The lobe is {width:.2g} deg wide, but the direction nearest to the mirror's is {nearest:.2g} "
             "deg away from it, so alpha is an extrapolation."
         )
     at_bound = [
@@ -159,7 +159,7 @@ def _against_alpha(evidence: Evidence) -> list[str]:
     if width < dataset.aperture:
         share = (evidence.u_alpha_from_angles / u_alpha) ** 2 if math.isfinite(u_alpha) else 0.0
         reasons.append(
-            f"The lobe is {width:.2g} deg wide and the aperture {dataset.aperture:.2g} deg, so what was measured is "
+            f"The lobe is {width:.2g} deg wide and the aperture {dataset.aperture:.2g} deg, so what was seen is "
             f"mostly the aperture; {share:.0%} of the variance of alpha comes from the stages: standard uncertainties "
             f"of {dataset.u_angle:.2g} deg of a position and {dataset.u_zero:.2g} deg of a zero."
         )
@@ -196,7 +196,7 @@ def _notes(evidence: Evidence) -> list[str]:
     if evidence.residual_ratio > LARGEST_RESIDUAL_RATIO:
         notes.append(
             f"The residuals are {evidence.residual_ratio:.3g} times the combined standard uncertainty of the "
-            "measurement, systematic errors included: the model does not describe everything. The standard errors are "
+            "data, systematic errors included: the model does not describe everything. The standard errors are "
             "inflated by this factor (Birge ratio)."
         )
     return notes

@@ -17,13 +17,14 @@ from analysis.report_measured import measured_chapter, shift_chapter
 from analysis.report_models import models_chapter
 from analysis.report_quality import budget_chapter, quality_chapter, warnings
 from analysis.results import SampleAnalysis
+from analysis.wording import words
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What a report says about the run, besides its data; None is what nobody knows of imported data."""
+    """What a report says about the run, besides its data; None is what nobody knows of data without one."""
 
     uniform_points: int | None
     """Points that a scan at every degree of theta_out would have had."""
@@ -41,8 +42,8 @@ class RunFacts:
     """How well the rendering file stands for the model."""
 
 
-IMPORTED = RunFacts(None, None, None, failed_points=0, too_noisy="", files=())
-"""Of data that were measured elsewhere."""
+NO_RUN = RunFacts(None, None, None, failed_points=0, too_noisy="", files=())
+"""Of data that were measured elsewhere, or simulated."""
 
 
 def write_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> None:
@@ -58,6 +59,7 @@ def report_html(analysis: SampleAnalysis, facts: RunFacts) -> str:
     sample = analysis.dataset.sample
     body = [
         f"<h1>{escape(sample)}: colour and brightness of its reflection</h1>",
+        _origin(analysis.dataset),
         warnings(analysis.dataset),
         _opening(analysis, facts),
         _verdict(analysis),
@@ -73,21 +75,30 @@ def report_html(analysis: SampleAnalysis, facts: RunFacts) -> str:
     return page(f"{sample}: BRDF report", body)
 
 
+def _origin(dataset: Dataset) -> str:
+    """A banner where nothing of what follows was seen on any bench."""
+    if not dataset.simulated:
+        return ""
+    told = escape(str(dataset.lineage["simulated"]))
+    return f'<div class="verdict note"><strong>Simulated: {told}</strong></div>'
+
+
 def _opening(analysis: SampleAnalysis, facts: RunFacts) -> str:
     dataset = analysis.dataset
     points = dataset.theta_in.size
+    no_aperture = "none" if dataset.simulated else "corrected for"
     tiles = [
-        ("spectra measured", f"{points}"),
+        (f"spectra {words(dataset).done}", f"{points}"),
         *([] if facts.uniform_points is None else [("a 1° grid would need", f"{facts.uniform_points}")]),
         *([] if facts.bench_time is None else [("bench time of this sample", _duration(facts.bench_time))]),
         ("wavelengths", f"{dataset.wavelengths[0]:.0f} to {dataset.wavelengths[-1]:.0f} nm"),
-        ("aperture", f"{dataset.aperture:g}°" if dataset.aperture else "corrected for"),
+        ("aperture", f"{dataset.aperture:g}°" if dataset.aperture else no_aperture),
     ]
     return (
         "<p>A beam of white light falls on the sample at an angle θ in from its normal; a detector looks at it from "
         "the angle θ out, in the same plane. θ out counts positive on the far side, so θ out = θ in is the mirror "
-        "direction and θ out = −θ in looks straight back into the lamp. What is measured is the BRDF: how much light "
-        "goes this way for how much falls in, at every wavelength.</p>\n"
+        f"direction and θ out = −θ in looks straight back into the lamp. What is {words(dataset).done} is the "
+        "BRDF: how much light goes this way for how much falls in, at every wavelength.</p>\n"
         '<dl class="facts">' + "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in tiles) + "</dl>"
     )
 
@@ -119,7 +130,9 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
     dataset, local = analysis.dataset, analysis.local
     flagged, unreliable = int(np.sum(~dataset.usable)), int(np.sum(dataset.usable & ~local.reliable))
     items = [
-        "Directions that the file does not hold: it was measured elsewhere."
+        "Directions that nobody asked the simulation for."
+        if dataset.simulated
+        else "Directions that the file does not hold: it was measured elsewhere."
         if facts.blocked_points is None
         else f"Directions within {BLOCKED_HALF_WIDTH:g}° of the way back to the lamp ({facts.blocked_points} of a 1° "
         "grid): the detector would stand in the beam. They are in no fit and no file; pictures show what can be filled "
@@ -137,6 +150,8 @@ def _left_out(analysis: SampleAnalysis, facts: RunFacts) -> str:
 
 
 def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
+    if not facts.files and facts.bsdf is None:
+        return ""
     rows = "".join(
         f'<tr><td><a href="{escape(path, quote=True)}"><code>{escape(path)}</code></a></td><td>{escape(what)}</td></tr>'
         for path, what in facts.files
@@ -149,7 +164,8 @@ def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
     median, p99, maximum = (f"{100 * value:.1f} %" for value in (error.median, error.p99, error.maximum))
     return text + (
         "<p>The rendering file (<code>.bsdf</code>) holds the fitted model Cook-Torrance with shift, not the "
-        f"measurement{doubt}: an in-plane scan cannot fill a hemisphere. Read back as a renderer reads it, it is off "
+        f"{words(analysis.dataset).result}{doubt}: an in-plane scan cannot fill a hemisphere. Read back as a renderer "
+        "reads it, it is off "
         f"its model by {median} at the median, by less than {p99} in 99 of 100 directions and by {maximum} at most, up "
         f"to {LARGEST_TESTED_ANGLE:g}° from the normal; interpolating its {len(facts.bsdf.wavelengths)} wavelengths "
         f"costs at most {facts.bsdf.colour_error:.2f} dE00.</p>"
@@ -159,12 +175,18 @@ def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
 def _lineage(dataset: Dataset) -> str:
     known = {
         "data, SHA-256": dataset.content_hash,
-        "standard uncertainty of a stage position (coverage factor 1)": f"{dataset.u_angle:g}°",
-        "standard uncertainty of a stage's zero (coverage factor 1)": f"{dataset.u_zero:g}°",
+        **({} if dataset.simulated else _stages(dataset)),
         **{name.replace("_", " "): _short(value) for name, value in dataset.lineage.items() if value is not None},
     }
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in known.items())
     return f'<h2>Where the numbers come from</h2><div class="wide"><table><tbody>{rows}</tbody></table></div>'
+
+
+def _stages(dataset: Dataset) -> dict[str, str]:
+    return {
+        "standard uncertainty of a stage position (coverage factor 1)": f"{dataset.u_angle:g}°",
+        "standard uncertainty of a stage's zero (coverage factor 1)": f"{dataset.u_zero:g}°",
+    }
 
 
 def _short(value: object) -> str:

@@ -6,7 +6,9 @@ from analysis import figures
 from analysis.filled_figure import STEP
 from analysis.page import MODEL_NAMES, figure
 from analysis.results import ModelFit, SampleAnalysis
+from analysis.wording import words
 from goniometer.between import FEWEST
+from goniometer.dataset import Dataset
 from goniometer.fill import TELLS, Filled, fill, unmeasured
 
 TWO_COMPONENT_MODELS = ("global-two-component", "two-component", "dielectric-two-component")
@@ -14,48 +16,58 @@ TWO_COMPONENT_MODELS = ("global-two-component", "two-component", "dielectric-two
 
 
 def measured_chapter(analysis: SampleAnalysis) -> str:
-    """What was measured: maps, distributions, spectra."""
-    dataset, local = analysis.dataset, analysis.local
+    """What was measured, or simulated: maps, distributions, spectra."""
+    dataset, local, named = analysis.dataset, analysis.local, words(analysis.dataset)
     exposure = figures.exposure_of(dataset)
     enough = np.count_nonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1)) >= FEWEST
-    filled = fill(dataset, *unmeasured(dataset, STEP)) if enough else None
+    filled = fill(dataset, *unmeasured(dataset, STEP)) if enough and not dataset.simulated else None
+    noise = "single values" if dataset.simulated else "counts"
     clipped = f"; {exposure.clipped} cells are brighter than the display and clipped" if exposure.clipped else ""
     maps = [
         figures.colour_map(
-            dataset, dataset.brdf, exposure, "measured", "As bright as measured", measured=True, filled=filled
+            dataset, dataset.brdf, exposure, "colours", f"As bright as {named.done}", measured=True, filled=filled
         ),
         figures.colour_map(
             dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True, filled=filled
         ),
     ]
     return (
-        "<h2>What was measured</h2>"
+        f"<h2>What was {named.done}</h2>"
         + figure(
             maps,
-            "Each cell is one measured spectrum, shown in its own colour under daylight (D65, BT.709; exposure "
-            f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the lamp; there the "
-            "detector blocks the light. Hatched places were not measured; a colour under the hatching is filled, and "
-            "pointing at it says by what. Empty places were not measured; on the right, pale cells are too "
-            "dark to have a hue. Point at a cell for its angles and its BRDF, with its combined standard uncertainty "
+            f"Each cell is one {named.done} spectrum, shown in its own colour under daylight (D65, BT.709; exposure "
+            f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the "
+            f"lamp{_unseen(dataset)}. Empty places were not {named.done}; on the right, pale cells are too dark to "
+            "have a hue. Point at a cell for its angles and its BRDF, with its combined standard uncertainty "
             "(coverage factor 1) in brackets. A dashed outline marks a flagged cell; pointing at it says for what.",
         )
         + '<div class="pair"><div><h3>Where the light goes</h3>'
         + figure(
             [figures.distributions(dataset, "distributions", filled=filled)],
-            "BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are measurements, lines are "
-            "read between them by a process that knows how well it can. Bands are "
+            f"BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are {named.done}, lines "
+            "are read between them by a process that knows how well it can. Bands are "
             f"expanded uncertainties (coverage factor {figures.COVERAGE}) and mostly thinner than the lines. "
-            + _filled_words(filled),
+            + ("" if dataset.simulated else _filled_words(filled)),
         )
         + "</div><div><h3>How its colour changes</h3>"
         + figure(
             [figures.spectra(dataset, local, "spectra")],
             "Spectra from backward (negative) to forward, each divided by its value at "
-            f"{local.lambda_n:g} nm. Rising to the right means reddish, falling bluish. Bands: measurement with the "
-            f"expanded uncertainty of its counts (coverage factor {figures.COVERAGE}), without the errors that "
+            f"{local.lambda_n:g} nm. Rising to the right means reddish, falling bluish. Bands: {named.result} with "
+            f"the expanded uncertainty of its {noise} (coverage factor {figures.COVERAGE}), without the errors that "
             "wavelengths share; lines: the local fit.",
         )
         + "</div></div>"
+    )
+
+
+def _unseen(dataset: Dataset) -> str:
+    """What a map shows where nobody saw anything; a simulation has no such place."""
+    if dataset.simulated:
+        return ""
+    return (
+        "; there the detector blocks the light. Hatched places were not measured; a colour under the hatching is "
+        "filled, and pointing at it says by what"
     )
 
 
@@ -82,6 +94,7 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
     dataset, local = analysis.dataset, analysis.local
     fit = analysis.model("global")
     two = next((each for each in analysis.models if each.model in TWO_COMPONENT_MODELS), None)
+    blocked = "" if dataset.simulated else "Grey: blocked by the detector."
     dashed = f"Dashed: {MODEL_NAMES[two.model]}. " if two else ""
     reliable = int(local.reliable.sum())
     good = int(np.sum(local.r2[local.reliable] > 0.9))
@@ -92,18 +105,18 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
         f"spectrum on its own (local fit); m = 1 /µm means that the reflectance rises by 10 % from {local.lambda_n:g} "
         f"to {local.lambda_n + 100:g} nm. {reliable} of {local.reliable.size} spectra give a reliable slope; the fit "
         f"explains more than 90 % of the variation (r² &gt; 0.9) in {good} of these.</p>"
-        + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2)
+        + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2, words(dataset).done)
         + figure(
             figures.slopes(dataset, local, fit, "slopes", two),
             "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
             f"{figures.COVERAGE}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
-            f"directions, θm = |θ out − θ in| / 2. {dashed}Grey: blocked by the detector.",
+            f"directions, θm = |θ out − θ in| / 2. {dashed}{blocked}",
             "three",
         )
     )
 
 
-def _slope_in_words(fit: ModelFit, largest: float) -> str:
+def _slope_in_words(fit: ModelFit, largest: float, done: str) -> str:
     """What the cosine says up to theta_m = `largest`, degrees, for a trusted fit."""
     if not fit.verdict.trusted:
         return "<p>For this sample one cosine does not describe the slopes; see the verdict above.</p>"
@@ -115,7 +128,7 @@ def _slope_in_words(fit: ModelFit, largest: float) -> str:
     )
     zeros = _zeros(h, w, t_y, largest)
     if not zeros:
-        return f"{words}, and it keeps that hue over all measured directions.</p>"
+        return f"{words}, and it keeps that hue over all {done} directions.</p>"
     hues = ("bluish", "reddish") if mirror > 0 else ("reddish", "bluish")
     turns = ", ".join(f"{hues[i % 2]} beyond θm = {zero:.0f}°" for i, zero in enumerate(zeros))
     return f"{words}; it turns {turns}.</p>"

@@ -11,6 +11,7 @@ from analysis.distributions import lobe_width
 from analysis.notation import roughly, uncertainty, with_uncertainty
 from analysis.page import MODEL_NAMES, figure
 from analysis.results import ModelFit, SampleAnalysis
+from analysis.wording import words
 from goniometer.uncertainty import PARTS
 
 _UNIT = {"1": "", "1/um": "/µm"}
@@ -34,12 +35,12 @@ _MEANING = {
 
 def models_chapter(analysis: SampleAnalysis) -> str:
     """Colour differences, parameters and their uncertainty, and the fits beside the measurement."""
-    dataset = analysis.dataset
+    dataset, named = analysis.dataset, words(analysis.dataset)
     exposure = figures.exposure_of(dataset)
     plain, shifted = analysis.model("cook-torrance"), analysis.model("cook-torrance-shift")
     pictures = [
         figures.colour_map(dataset, plain.fitted, exposure, "ct", "Cook-Torrance"),
-        figures.colour_map(dataset, dataset.brdf, exposure, "measured-again", "Measured", measured=True),
+        figures.colour_map(dataset, dataset.brdf, exposure, "colours-again", named.done.capitalize(), measured=True),
         figures.colour_map(dataset, shifted.fitted, exposure, "cts", "Cook-Torrance with shift"),
     ]
     others = [fit for fit in analysis.models if fit.distribution and fit not in (plain, shifted)]
@@ -70,15 +71,15 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         + _verdict_table(analysis)
         + _parameter_table(analysis)
         + _error_table(analysis)
-        + "<h3>Fits beside the measurement</h3>"
+        + f"<h3>Fits beside the {named.result}</h3>"
         + figure(pictures, "Colours as in the first picture, with the same exposure.", "three")
         + _albedo_figure(analysis)
         + "<h3>How far off the fits are</h3>"
         + f'<div class="scale">{figures.difference_scale(largest, "scale")}</div>'
         + figure(
             maps,
-            "Colour difference CIEDE2000 between fit and measurement, cell by cell, all on one scale. The local and "
-            "global fits describe the hue only and are compared after dividing both spectra by their value at "
+            f"Colour difference CIEDE2000 between fit and {named.result}, cell by cell, all on one scale. The local "
+            "and global fits describe the hue only and are compared after dividing both spectra by their value at "
             f"{analysis.local.lambda_n:g} nm; the Cook-Torrance fits are compared as they are.",
         )
     )
@@ -95,6 +96,7 @@ def _lobe(fit: ModelFit) -> str:
 def _difference_table(analysis: SampleAnalysis) -> str:
     means = {n: [d.statistics(k)["mean"] for k in ("absolute", "chromatic")] for n, d in analysis.differences.items()}
     rows = []
+    named = words(analysis.dataset)
     of_brightness = [name for name in means if name in _OF_BRIGHTNESS]
     for name in [*of_brightness, *(name for name in reversed(means) if name not in of_brightness)]:
         statistics = analysis.differences[name].statistics("absolute")
@@ -109,12 +111,12 @@ def _difference_table(analysis: SampleAnalysis) -> str:
     counts = [analysis.differences["cook-torrance"].statistics(kind)["count"] for kind in ("absolute", "chromatic")]
     head = "".join(f'<th class="number">{t}</th>' for t in ("mean", "mean, hue only", "median", "95 %", "largest"))
     return (
-        "<h3>Mean colour difference to the measurement</h3>"
+        f"<h3>Mean colour difference to the {named.result}</h3>"
         f'<div class="wide"><table><thead><tr><th>model</th>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
-        f"<caption>CIEDE2000 over {counts[0]} measured directions; 1 is just noticeable. Values compare cos(θ in) × "
-        "BRDF under D65, white being 1; “hue only” compares spectra divided by their value at "
+        f"<caption>CIEDE2000 over {counts[0]} {named.done} directions; 1 is just noticeable. Values compare "
+        "cos(θ in) × BRDF under D65, white being 1; “hue only” compares spectra divided by their value at "
         f"{analysis.local.lambda_n:g} nm, where they stand clear of their noise ({counts[1]} directions). The global "
-        "model and the local fit take their brightness from the measurement, so only their hue is a test.</caption>"
+        f"model and the local fit take their brightness from the {named.result}, so only their hue is a test.</caption>"
         "</table></div>"
     )
 
@@ -144,7 +146,7 @@ def _parameter_table(analysis: SampleAnalysis) -> str:
         '<div class="wide"><table><thead><tr><th>model</th><th>parameter</th><th class="number">value</th>'
         f"<th>meaning</th></tr></thead><tbody>{''.join(rows)}</tbody>"
         "<caption>In brackets: standard uncertainty (coverage factor 1) of the last digits, propagated from all errors "
-        "of the measurement, each shared by those points and wavelengths that share it. A value with ≈ belongs to a "
+        "of the data, each shared by those points and wavelengths that share it. A value with ≈ belongs to a "
         "fit that is not to be trusted; “not determined” is what the data do not tell.</caption></table></div>"
     )
 

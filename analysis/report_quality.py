@@ -4,8 +4,9 @@ from html import escape
 
 import numpy as np
 
-from analysis.budget_figure import PANELS, budget_panels, budget_table
+from analysis.budget_figure import budget_panels, budget_table, panels_in_words
 from analysis.page import bullets, figure
+from analysis.wording import words
 from drivers.arrays import BoolArray
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.budget import USUAL_INCIDENT, USUAL_WAVELENGTH, budget, usual_direction
@@ -30,7 +31,7 @@ def warnings(dataset: Dataset) -> str:
     if failed:
         names = ", ".join(escape(check.name) for check in failed)
         banners.append(
-            f'<div class="verdict warn"><strong>⚠ A check of this measurement failed: {names}</strong>'
+            f'<div class="verdict warn"><strong>⚠ A check of this {words(dataset).result} failed: {names}</strong>'
             f"{bullets([check.message for check in failed])}</div>"
         )
     return "\n".join(banners)
@@ -106,8 +107,8 @@ def budget_chapter(dataset: Dataset) -> str:
     except (GeometryError, InputError) as fault:
         return f"{title}<p>There is none for the usual direction: {escape(str(fault))}.</p>"
     return (
-        f"{title}<p>What makes one value uncertain, as near as was measured to the mirror direction at the incident "
-        f"angle nearest {USUAL_INCIDENT:g}°, and at the wavelength nearest {USUAL_WAVELENGTH:g} nm.</p>"
+        f"{title}<p>What makes one value uncertain, as near as was {words(dataset).done} to the mirror direction "
+        f"at the incident angle nearest {USUAL_INCIDENT:g}°, and at the wavelength nearest {USUAL_WAVELENGTH:g} nm.</p>"
         + budget_table(found)
-        + figure(budget_panels(dataset, theta_in, theta_out), PANELS)
+        + figure(budget_panels(dataset, theta_in, theta_out), panels_in_words(dataset))
     )

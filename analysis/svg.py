@@ -85,15 +85,22 @@ def new_axes(
     return figure, figure.add_axes(box, facecolor="none")
 
 
-def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequence[Cell]] | None = None) -> str:
+def to_svg(
+    figure: "Figure",
+    name: str,
+    label: str,
+    cells: tuple["Axes", Sequence[Cell]] | None = None,
+    *,
+    above: bool = False,
+) -> str:
     """The figure as one `<svg>` element. `name` makes its ids unique in a page, `label` is read to the blind.
 
-    `cells` are drawn beneath the lines of their axes. Call it within `style`.
+    `cells` are drawn beneath the lines of their axes, or `above` them. Call it within `style`.
     """
     from matplotlib import rc_context  # noqa: PLC0415
 
     if cells is not None:
-        cells[0].plot([], [], zorder=0.5, gid=_CELLS)
+        cells[0].plot([], [], zorder=9.0 if above else 0.5, gid=_CELLS)
     page = io.StringIO()
     with rc_context({"svg.hashsalt": name}):
         figure.savefig(page, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
@@ -101,8 +108,8 @@ def to_svg(figure: "Figure", name: str, label: str, cells: tuple["Axes", Sequenc
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->|<style.*?</style>|<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text).replace(INK, "currentColor")
-    # coordinates are fine enough with two decimals; what people read is left as it is
-    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
+    # coordinates are fine enough with two decimals, but not how far an image is stretched; what people read is left
+    text = re.sub(r"<(?!image)[^>]+>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), text)
     text = _unique_ids(text, name)
     if cells is not None:
         drawn = "\n".join(_rectangle(cells[0], cell, figure.bbox.height) for cell in cells[1])

@@ -25,6 +25,7 @@ from api.cli_choose import register as add_choose
 from api.cli_import import register as add_import
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
+from api.cli_tradeoff import register as add_tradeoff
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
@@ -188,11 +189,19 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
         entry["datasets"] = list(store.datasets(entry["id"]))
-    imported = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
-    samples = store.dataset_samples()
+    alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
+    samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
+    imported, simulated = ([i for i in alone if origin in lineages[i]] for origin in ("imported", "simulated"))
     if as_json:
-        told = [{"dataset": i, "sample": samples[i], "file": store.lineage(i)["imported"]} for i in imported]
-        emit({"database": str(database), "campaigns": store.campaigns(), "scans": found, "imported": told})
+        emit(
+            {
+                "database": str(database),
+                "campaigns": store.campaigns(),
+                "scans": found,
+                "imported": [{"dataset": i, "sample": samples[i], "file": lineages[i]["imported"]} for i in imported],
+                "simulated": [{"dataset": i, "sample": samples[i], "how": lineages[i]["simulated"]} for i in simulated],
+            }
+        )
         return
     out = Console()
     names = store.campaigns()
@@ -205,8 +214,9 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for dataset_id in imported:
-        line = f"imported: {samples[dataset_id]}: {store.lineage(dataset_id)['imported']}, dataset {dataset_id}"
+    for dataset_id in alone:
+        origin = "imported" if dataset_id in imported else "simulated"
+        line = f"{origin}: {samples[dataset_id]}: {lineages[dataset_id][origin]}, dataset {dataset_id}"
         out.print(line, markup=False, highlight=False)
 
 
@@ -278,6 +288,7 @@ add_characterisations(app)
 add_choose(app)
 add_import(app)
 add_quality(app)
+add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 

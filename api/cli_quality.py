@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from analysis.wording import words
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.datasets import make_dataset, uncalibrated_scan
 from api.quality import (
@@ -20,6 +21,7 @@ from api.quality import (
 )
 from goniometer.certificate import Override
 from goniometer.errors import InputError
+from goniometer.store import Store
 
 
 def register(app: typer.Typer) -> None:
@@ -52,7 +54,7 @@ def budget(
         emit(budget_content(dataset_id, found) | {"path": None if written is None else str(written)})
         return
     out = Console()
-    first, *rest = budget_lines(dataset_id, found)
+    first, *rest = budget_lines(dataset_id, found, words(read).done)
     out.print(first, markup=False, highlight=False)
     out.print(budget_rows(found))
     for line in rest:
@@ -104,7 +106,7 @@ def calibrate(
         old = chosen_dataset(store, dataset)
         of_dataset = store.datasets()[old]
         if of_dataset is None:
-            raise InputError(f"Dataset {old} was imported and has no raw data; import its file again instead.")
+            raise InputError(_no_raw_data(store, old))
         scan_id = of_dataset
     new = make_dataset(store, scan_id, made_from=old, certificate=certificate, settings=settings, override=override)
     made = store.dataset(new)
@@ -125,6 +127,13 @@ def calibrate(
         f"Corrections: {told}",
     )
     _show([*first, *quality_lines(found)[1:]])
+
+
+def _no_raw_data(store: Store, dataset_id: int) -> str:
+    """Why a dataset of no scan cannot be calibrated."""
+    if "simulated" in store.lineage(dataset_id):
+        return f"Dataset {dataset_id} was simulated and has no raw data; simulate it again instead."
+    return f"Dataset {dataset_id} was imported and has no raw data; import its file again instead."
 
 
 def _show(lines: list[str]) -> None:

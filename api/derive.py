@@ -19,6 +19,7 @@ from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from goniometer.dataset import Dataset
 from goniometer.errors import StoreFull
+from simulators.tabulated_file import write_tabulated
 
 REPORT = "report.html"
 """Name of the report in the folder of a sample."""
@@ -32,7 +33,7 @@ class Export:
     """A file that was written."""
 
     file_format: str
-    """"json", "mitsuba" or "report"."""
+    """"json", "mitsuba", "report", "material", ..."""
     path: Path
     sha256: str
 
@@ -72,19 +73,24 @@ _CONTENT = {
 
 def write_text(file_format: str, path: Path, text: str) -> Export:
     """Write a text."""
-    return _written(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+    return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_material(path: Path, dataset: Dataset) -> Export:
+    """Write a dataset as the table of a material for the simulated bench."""
+    return write_file("material", path, lambda part: write_tabulated(part, dataset))
 
 
 def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts) -> Export:
     """Write the HTML report of an analysis."""
-    return _written("report", path, lambda part: write_report(part, analysis, facts))
+    return write_file("report", path, lambda part: write_report(part, analysis, facts))
 
 
 def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export]:
     """Write the rendered model of an analysis as a Mitsuba `.bsdf`."""
     reports: list[BsdfReport] = []
     fit, dataset, metal = analysis.model(RENDERED_MODEL), analysis.dataset, analysis.conductor
-    export = _written("mitsuba", path, lambda part: reports.append(write_fit(part, fit, dataset, metal)))
+    export = write_file("mitsuba", path, lambda part: reports.append(write_fit(part, fit, dataset, metal)))
     return replace(reports[0], path=path), export
 
 
@@ -101,7 +107,7 @@ def make_folder(folder: Path) -> None:
         raise StoreFull(f"{folder} cannot be made: {error.strerror}; make room or name another folder.") from error
 
 
-def _written(file_format: str, path: Path, write: Callable[[Path], object]) -> Export:
+def write_file(file_format: str, path: Path, write: Callable[[Path], object]) -> Export:
     """Let `write` fill a file beside `path` and put it in place in one step, so that no half file is ever seen."""
     path = path.resolve()
     part = path.with_name(path.name + ".part")

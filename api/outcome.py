@@ -19,6 +19,7 @@ from analysis.results import ColourDifferences
 from api.datasets import too_noisy
 from goniometer.dataset import MEANING, Dataset
 from goniometer.lineage import own_datasets
+from goniometer.material_file import material_file
 from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.store import Store
@@ -131,8 +132,8 @@ def _local_differences(local: dict[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def _true_value(name: str, parameter: str, model: str, *, known: bool) -> dict[str, float]:
-    """What the simulated bench put into a parameter, if it knows."""
-    if not known or model not in {"cook-torrance", "cook-torrance-shift"}:
+    """What the simulated bench put into a parameter, if it knows; a table is made of none."""
+    if not known or model not in {"cook-torrance", "cook-torrance-shift"} or material_file(name):
         return {}
     lying = material(name)
     return {"true": getattr(lying, parameter)} if lying.name in SAMPLES else {}

@@ -13,7 +13,7 @@ from analysis.fresnel import load_conductor
 from analysis.least_squares import Engine
 from analysis.loew import Weight, weight_of
 from analysis.notation import roughly, with_uncertainty
-from analysis.report import IMPORTED
+from analysis.report import NO_RUN
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
@@ -165,7 +165,7 @@ def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     """
     dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
-    facts = IMPORTED if scan_id is None else run_facts(store, store.scan(scan_id))
+    facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
     target = path or _usual_path(dataset, "html")
     others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
     models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))

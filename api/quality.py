@@ -7,7 +7,14 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from analysis.budget_figure import budget_page, budget_panels, relative_in_words, share_in_words, side_by_side
+from analysis.budget_figure import (
+    budget_page,
+    budget_panels,
+    panels_in_words,
+    relative_in_words,
+    share_in_words,
+    side_by_side,
+)
 from api.datasets import too_noisy
 from api.derive import Export, write_text
 from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
@@ -127,10 +134,10 @@ def _short(shared: str) -> str:
     return shared.replace("wavelengths", "λ")
 
 
-def budget_lines(dataset_id: int, found: Budget) -> list[str]:
-    """What stands above and below the table of a budget."""
+def budget_lines(dataset_id: int, found: Budget, done: str) -> list[str]:
+    """What stands above and below the table of a budget; `done` is what was done to get it, e.g. "measured"."""
     return [
-        f"Dataset {dataset_id}, {found.sample}: measured at θ in = {found.theta_in:.2f}°, "
+        f"Dataset {dataset_id}, {found.sample}: {done} at θ in = {found.theta_in:.2f}°, "
         f"θ out = {found.theta_out:.2f}°, {found.wavelength:.1f} nm".replace("-", "−"),
         f"f = {found.brdf:.5g} 1/sr ± {found.expanded:.2g} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE})",
     ]
@@ -150,7 +157,7 @@ def write_budget(dataset: Dataset, found: Budget, path: Path) -> Export:
     if path.suffix == ".svg":
         return write_text("svg", path, side_by_side(panels))
     if path.suffix == ".html":
-        return write_text("html", path, budget_page(found, panels))
+        return write_text("html", path, budget_page(found, panels, panels_in_words(dataset)))
     raise InputError(f'A budget cannot be drawn to "{path}"; end its name in .svg or .html.')
 
 

@@ -26,7 +26,7 @@ from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
 from goniometer.calibration import check_certificate
-from goniometer.campaign import Campaign
+from goniometer.campaign import Campaign, Sample
 from goniometer.certificate import NOMINAL_SRS99, Override
 from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.dataset import Dataset
@@ -35,6 +35,7 @@ from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, Certi
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset, own_datasets
+from goniometer.material_file import Content, material_file
 from goniometer.plan import plan_spec, reference_points, uniform_grid_size
 from goniometer.records import Scan
 from goniometer.response import STANDARD
@@ -44,6 +45,7 @@ from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
 from simulators.materials import PANEL_CERTIFICATE, material
+from simulators.tabulated import Tabulated, check_reach
 
 ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
 """Phases of a scan that some process is running, or was when it was killed."""
@@ -260,8 +262,7 @@ async def run(
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
-        for sample in campaign.samples:
-            material(sample.material)
+        campaign = _with_materials(campaign)
     context = multiprocessing.get_context("spawn")
     with store.exclusive(), ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as executor:
         waiting: dict[int, Future[Derived]] = {}
@@ -307,6 +308,23 @@ async def run(
             except BrokenProcessPool:
                 failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
     return RunResult(campaign_id, tuple(failures))
+
+
+def _with_materials(campaign: Campaign) -> Campaign:
+    """The campaign with what is in every file that is a material of the simulated bench.
+
+    Raises `InputError` for a material that there is not, and for directions of which a table knows nothing.
+    """
+
+    def known(sample: Sample) -> Sample:
+        lying, file = material(sample.material), material_file(sample.material)
+        if file is None or not isinstance(lying, Tabulated):
+            return sample
+        check_reach(lying, campaign.theta_in, (campaign.outgoing.start, campaign.outgoing.stop))
+        content = Content(lying.sha256, float(lying.wavelengths[0]), float(lying.wavelengths[-1]))
+        return sample.model_copy(update={"material": str(file._replace(content=content))})
+
+    return campaign.model_copy(update={"samples": tuple(map(known, campaign.samples))})
 
 
 def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -> str | None:

@@ -1,14 +1,32 @@
-"""`goniometer simulate surface`: a topography and its roughness."""
+"""`goniometer simulate surface`: topographies, their roughness, and what they look like."""
 
 from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from api.arguments import AsJson, emit
-from api.simulations import Micro, Pitch, Seed, Size, SurfaceName
-from simulators.heights import roughness
+from api.derive import make_folder, write_file
+from api.simulations import Micro, Page, Pitch, Seed, Size, write_page
+from api.surface_facts import Described, described, how_made, remark, shown
+from api.surface_page import one_surface, several_surfaces, title
+from goniometer.errors import InputError
 from simulators.topography import topography
+from simulators.topography_file import write_topography
+
+SurfaceNames = Annotated[
+    list[str],
+    typer.Argument(
+        help="Samples, e.g. sample-1, gaussian:RMS:LENGTH or brushed:RMS:ACROSS:ALONG (um), or topography files.",
+        show_default=False,
+    ),
+]
+MapFile = Annotated[
+    Path | None, typer.Option("--output", "-o", help="NumPy archive (.npz) to write the height map to.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -17,23 +35,60 @@ def register(app: typer.Typer) -> None:
 
 
 def surface_command(
-    surface: SurfaceName,
-    size: Size = 1024,
-    pitch: Pitch = 0.5,
+    surfaces: SurfaceNames,
+    size: Size = None,
+    pitch: Pitch = None,
     seed: Seed = 1,
     micro: Micro = False,
+    output: MapFile = None,
+    page: Page = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a surface and tell its roughness after ISO 25178."""
-    made = topography(surface, size, pitch, seed, micro=micro)
-    found = roughness(made.field)
+    """Make or read surfaces and tell their roughness after ISO 25178, with the paper's beside it."""
+    if output is not None and (len(surfaces) > 1 or output.suffix.lower() != ".npz"):
+        raise InputError(f"{output} cannot hold what is asked for; name one surface, and a file that ends in .npz.")
+    found = [described(topography(surface, size, pitch, seed, micro=micro)) for surface in surfaces]
+    written = []
+    if output is not None:
+        make_folder(output.resolve().parent)
+        written.append(write_file("map", output, lambda part: write_topography(part, found[0].surface.field)).path)
+    if page is not None:
+        body = one_surface(found[0]) if len(found) == 1 else several_surfaces(found)
+        written.append(write_page(page, title(found), body).path)
     if as_json:
-        emit({"surface": made.origin, "roughness": asdict(found)})
+        emit({"surfaces": [_content(one) for one in found], "written": [str(path) for path in written]})
         return
     out = Console()
-    out.print(
-        f"{made.name}: Sq {found.sq_um:.4g} µm, Sdq {found.sdq:.4g}, Sdr {100 * found.sdr:.3g} %, "
-        f"Sal {found.sal_um:.3g} µm",
-        markup=False,
-        highlight=False,
-    )
+    for one in found:
+        out.print(_table(one))
+        for line in [*how_made(one.surface), remark(one)]:
+            out.print(line, markup=False, highlight=False)
+        out.print()
+    for path in written:
+        out.print(f"Wrote {path}", markup=False, highlight=False)
+
+
+def _content(found: Described) -> dict[str, Any]:
+    """For JSON."""
+    return {
+        "name": found.surface.name,
+        "surface": found.surface.origin,
+        "parameters": {key: asdict(row) for key, row in found.parameters.items()},
+        "area_ratio": 1 + found.parameters["sdr"].value,
+    }
+
+
+def _table(found: Described) -> Table:
+    table = Table(title=found.surface.name, title_justify="left", box=None, pad_edge=False)
+    for heading in ("", "value", "paper", "2 x pitch", "± (patch)", "meaning"):
+        table.add_column(heading, justify="left" if heading in ("", "meaning") else "right")
+    for row in found.parameters.values():
+        table.add_row(
+            row.symbol,
+            shown(row.value, row.unit),
+            "" if row.paper is None else shown(row.paper, row.unit),
+            f"{100 * row.at_twice_the_pitch:+.1f} %",
+            f"{100 * row.relative_error:.1f} %",
+            row.meaning,
+        )
+    return table

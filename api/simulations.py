@@ -4,12 +4,16 @@ from html import escape
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from analysis.page import page
 from api.derive import Export, make_folder, write_text
+from drivers.arrays import FloatArray
+from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.computed import Computed, computed_dataset
+from simulators.topography import PITCH_UM, SIZE
 
 SurfaceName = Annotated[
     str,
@@ -18,11 +22,37 @@ SurfaceName = Annotated[
         show_default=False,
     ),
 ]
-Size = Annotated[int, typer.Option(min=16, max=16384, help="Points along each side of a synthesised surface.")]
-Pitch = Annotated[float, typer.Option(min=0.01, help="Distance of its points, um.")]
+Size = Annotated[
+    int | None,
+    typer.Option(min=16, max=16384, help=f"Points along each side of a synthesised surface, usually {SIZE}."),
+]
+Pitch = Annotated[float | None, typer.Option(min=0.01, help=f"Distance of its points, um, usually {PITCH_UM:g}.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the surface and of all that is random.")]
 Micro = Annotated[bool, typer.Option("--micro", help="Put 40 nm of roughness below the wavelength on it.")]
-Page = Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the figures to write.")]
+Page = Annotated[Path | None, typer.Option("--page", help="HTML page with the figures to write.")]
+
+
+MOST_VALUES = 1000
+"""Of one series of angles or wavelengths."""
+
+
+def series(option: str, text: str) -> FloatArray:
+    """Numbers, ascending, of "first:last:step" or "a,b,c"; raises `InputError` for another form."""
+    try:
+        if ":" in text:
+            first, last, step = map(float, text.split(":"))
+            steps = int((last - first) / step + 1e-9)
+            values = first + step * np.arange(steps + 1 if steps < MOST_VALUES else 0)
+        else:
+            values = np.unique([float(each) for each in text.split(",")])
+    except (ValueError, ZeroDivisionError, OverflowError):
+        values = np.empty(0)
+    if not values.size or not np.isfinite(values).all() or np.any(np.diff(values) <= 0):
+        raise InputError(
+            f"{option} {text} should read FIRST:LAST:STEP, e.g. 0:80:10, of at most {MOST_VALUES} values, or list them, "
+            f"e.g. 0,30."
+        )
+    return np.asarray(values, dtype=float)
 
 
 def store_computed(database: Path, computed: Computed) -> int:

@@ -28,6 +28,7 @@ from goniometer.derived import software_version
 from goniometer.drift import LampBetween, LampDrift, factor, lamp_between, lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.footprint import CLIPPED_BELOW, share_on_sample
+from goniometer.material_file import material_file
 from goniometer.raw import RawScan, read_raw, sample_visits
 from goniometer.response import (
     STANDARD,
@@ -272,6 +273,10 @@ def _sums(measured: Signal, known: Response, weights: FloatArray, total: Total, 
     )
 
 
+_BESIDE = 5.0
+"""Nanometres beyond a table that lies on the simulated bench: a bin's width, so that its bins cover the whole table."""
+
+
 def calibrate_scan(
     store: Store,
     scan_id: int,
@@ -282,7 +287,8 @@ def calibrate_scan(
     """`calibrate` on a scan in the database, with the reference scan that serves it, and the sanity checks.
 
     `certificate` and `override` replace those of the campaign. Raises `CertificateError` where the certificate is
-    missing or was not valid on the day of the reference scan and nobody overrides that.
+    missing or was not valid on the day of the reference scan and nobody overrides that. What lies on a simulated bench
+    as a table is calibrated at the wavelengths of the table only.
     """
     scans = store.scans(store.scan(scan_id).campaign_id)
     reference_scan = store.reference_scan(scan_id)
@@ -298,6 +304,13 @@ def calibrate_scan(
     watched = len(sample.monitors) > 1
     since = scans[reference_scan.number + 1 : number]
     between = [read_raw(store, s.id) for s in since if watched and s.outcome == "completed"]
+    material = material_file(store.scan(scan_id).material)
+    if material is not None and material.content is not None:  # beyond, what lay on the simulated bench is invented
+        lowest, highest = (
+            max(settings.lowest, material.content.lowest - _BESIDE),
+            min(settings.highest, material.content.highest + _BESIDE),
+        )
+        settings = replace(settings, lowest=lowest, highest=highest)
     dataset = calibrate(sample, reference, certificate, settings, between)
     spot = None
     after = scans[number + 1] if number + 1 < len(scans) else None
@@ -312,6 +325,8 @@ def calibrate_scan(
         "certificate_override": overridden,
         "spot_scan": None if spot is None or after is None else after.id,
     }
+    if material is not None and material.content is not None:
+        lineage |= {"material": material.path.name, "material_sha256": material.content.sha256}
     return replace(dataset, checks=found, lineage=lineage)
 
 

@@ -27,6 +27,7 @@ from pydantic import (
 
 from goniometer.conditions import Conditions
 from goniometer.geometry import LARGEST_ANGLE, Geometry
+from goniometer.material_file import material_file
 from goniometer.quantities import Angle, Duration, Length
 from goniometer.scene_weights import SceneWeights
 
@@ -46,7 +47,9 @@ class Sample(_Model):
 
     name: str = Field(min_length=1, description="How people call it; must differ between the samples of a campaign.")
     material: str = Field(
-        min_length=1, description='What lies on the bench, e.g. "sample-1"; only a simulated bench reads it.'
+        min_length=1,
+        description='What lies on the bench, e.g. "sample-1", or "file:NAME.npz" relative to the campaign file; only a '
+        "simulated bench reads it.",
     )
     diameter: Length = Field(default=50.0, gt=0, description="Of the round sample, mm.")
     description: str = Field(default="", description="What it is, in words.")
@@ -351,7 +354,8 @@ class Campaign(_Model):
     def hash(self) -> str:
         """SHA-256 of all that decides what is measured, so that nobody resumes under a changed campaign.
 
-        The path of the certificate is left out: the database keeps, and compares, what stands in the file. So is who
+        The path of the certificate is left out: the database keeps, and compares, what stands in the file. So is that
+        of a material, of which the SHA-256 counts once it is known, and who
         overrides what it says: that may be decided when everything is measured. Conditions and waits decide when
         something is measured and not what, so whoever was too impatient need not begin anew.
         """
@@ -359,6 +363,9 @@ class Campaign(_Model):
         del content["reference"]["certificate"], content["reference"]["override"], content["conditions"]
         for sample in content["samples"]:
             del sample["wait"]
+            file = material_file(sample["material"])
+            if file is not None:
+                sample["material"] = f"file:{file.identity}"
         # what is measured once has the hash that it had when nothing could be measured again
         for part, key in ((content, "rounds"), *((sample, "repeats") for sample in content["samples"])):
             if part[key] == 1:
@@ -368,6 +375,17 @@ class Campaign(_Model):
         if not content["reference"]["every_round"]:
             del content["reference"]["every_round"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def changed_content(before: Campaign, after: Campaign) -> str:
+    """What is another in a campaign that has begun, or in what its files hold, in words."""
+    if before.hash == after.hash:
+        return "another certificate"
+    for old, new in zip(before.samples, after.samples, strict=False):
+        was, now = material_file(old.material), material_file(new.material)
+        if was and now and was.identity != now.identity:
+            return f'another material file of the sample "{new.name}"'
+    return "other content"
 
 
 def numbered(name: str, repeat: int | None) -> str:

@@ -6,8 +6,9 @@ from typing import Any, NoReturn
 import yaml
 from pydantic import ValidationError
 
-from goniometer.campaign import Campaign
+from goniometer.campaign import Campaign, Sample
 from goniometer.errors import CampaignError
+from goniometer.material_file import material_file
 from goniometer.scene_weights import read_weights
 from goniometer.wording import describe
 
@@ -26,7 +27,8 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def load_campaign(path: Path | str) -> Campaign:
-    """Read and check a campaign file; relative paths of a certificate and of a scene's weights start at its folder.
+    """Read and check a campaign file; relative paths of a certificate, of materials and of a scene's weights are taken
+    from its own folder.
 
     Raises `CampaignError`, one line with the file, the key, what is wrong and what would be right.
     """
@@ -60,11 +62,21 @@ def load_campaign(path: Path | str) -> Campaign:
         raise CampaignError(
             f"{path}: a text of the campaign holds {error.object[error.start]!a}, which is no character; leave it out"
         ) from None
+    samples = tuple(_located(sample, path.parent) for sample in campaign.samples)
+    campaign = campaign.model_copy(update={"samples": samples})
     certificate = campaign.reference.certificate
     if certificate is None:
         return campaign
     located = str(path.parent / certificate)
     return campaign.model_copy(update={"reference": campaign.reference.model_copy(update={"certificate": located})})
+
+
+def _located(sample: Sample, folder: Path) -> Sample:
+    """A sample whose material, where it is a file, is found from any folder."""
+    file = material_file(sample.material)
+    if file is None:
+        return sample
+    return sample.model_copy(update={"material": str(file._replace(path=(folder / file.path).absolute()))})
 
 
 def _refuse_yaml(path: Path, error: yaml.YAMLError) -> NoReturn:

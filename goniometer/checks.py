@@ -4,6 +4,8 @@ Every check is one question with an answer in numbers. It passes or fails by wha
 thousand) if the dataset and its stated uncertainties were right; where the data do not tell, it says so.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,32 +66,68 @@ def checks(dataset: Dataset, *, spot: Dataset | None, drift: float | None, drift
     exposures tell of it.
     """
     return (
-        _reciprocity(dataset),
-        _energy(dataset),
-        _values(dataset),
+        _reciprocity(dataset, _OF_OWN_BENCH),
+        _energy(dataset, _OF_OWN_BENCH),
+        _values(dataset, _OF_OWN_BENCH),
         _drift(dataset, drift, corrected=drift_corrected),
         _saturation(dataset),
         _homogeneity(dataset, spot),
-        _noise_floor(dataset),
+        _noise_floor(dataset, _OF_OWN_BENCH),
         _footprint(dataset),
     )
 
 
 def checks_of_imported(dataset: Dataset) -> tuple[Check, ...]:
     """What can be asked of a dataset that was measured elsewhere: the questions that its values alone answer."""
+    return _of_values(dataset, _OF_OTHERS)
+
+
+def checks_of_simulated(dataset: Dataset) -> tuple[Check, ...]:
+    """What can be asked of a dataset that was computed: the same, with other advice where an answer is bad."""
+    return _of_values(dataset, _OF_A_SIMULATION)
+
+
+def _of_values(dataset: Dataset, advice: "_Advice") -> tuple[Check, ...]:
     return (
-        _reciprocity(dataset),
-        _energy(dataset, "Check that the values are what was stated of them, and not per cent or counts."),
-        _values(dataset, may_lack=True),
-        _noise_floor(dataset),
+        _reciprocity(dataset, advice),
+        _energy(dataset, advice),
+        _values(dataset, advice, may_lack=True),
+        _noise_floor(dataset, advice),
     )
 
 
-def _reciprocity(dataset: Dataset) -> Check:
+class _Advice(NamedTuple):
+    """What to do where a check failed; it depends on where a dataset comes from."""
+
+    reciprocity: str
+    energy: str
+    negative: str
+    noise_floor: str
+
+
+_OF_OWN_BENCH = _Advice(
+    "check the zeros of both stages, and whether the sample looks the same from all sides",
+    "Check that the reference panel and its certificate belong together, and the integration times of the brightest "
+    "points.",
+    "take darks and stray light again",
+    "allow longer integration times, or measure fewer dark directions",
+)
+_OF_OTHERS = _OF_OWN_BENCH._replace(
+    energy="Check that the values are what was stated of them, and not per cent or counts."
+)
+_OF_A_SIMULATION = _Advice(
+    "choose a reciprocal model of light, or a surface that looks the same from all sides",
+    "Look for the limits of the approximation, or sample the surface more finely.",
+    "use more rays, or average over a larger area",
+    "use more rays, average over a larger area, or leave out dark directions",
+)
+
+
+def _reciprocity(dataset: Dataset, advice: _Advice) -> Check:
     name = "reciprocity"
     pairs = reciprocity(dataset)
     if not pairs.z.size:
-        return Check(name, None, "Not known: no direction was measured together with its reverse, clear of the noise.")
+        return Check(name, None, "Not known: no direction has its reverse beside it, clear of the noise.")
     z = np.abs(pairs.z)
     worst = int(np.argmax(z))
     rare = int(np.sum(z > RARE))
@@ -107,19 +145,11 @@ def _reciprocity(dataset: Dataset) -> Check:
         name,
         False,
         f"{rare} of {found} That is more than {RARE:g} standard uncertainties in more than "
-        f"{100 * RARE_SHARE:.0f} % of the pairs: check the zeros of both stages, and whether the sample looks the same "
-        f"from all sides.",
+        f"{100 * RARE_SHARE:.0f} % of the pairs: {advice.reciprocity}.",
     )
 
 
-_OF_OWN_BENCH = (
-    "Check that the reference panel and its certificate belong together, and the integration times of the brightest "
-    "points."
-)
-"""What to do where more light comes out than falls in."""
-
-
-def _energy(dataset: Dataset, advice: str = _OF_OWN_BENCH) -> Check:
+def _energy(dataset: Dataset, advice: _Advice) -> Check:
     name = "energy"
     found = energy(dataset)
     if not found.theta_in.size:
@@ -143,11 +173,11 @@ def _energy(dataset: Dataset, advice: str = _OF_OWN_BENCH) -> Check:
         name,
         False,
         f"{said}: more than all. So it is for {int(too_much.sum())} of {too_much.size} combinations of incident angle "
-        f"and band of wavelengths, {where}. {advice}",
+        f"and band of wavelengths, {where}. {advice.energy}",
     )
 
 
-def _values(dataset: Dataset, *, may_lack: bool = False) -> Check:
+def _values(dataset: Dataset, advice: _Advice, *, may_lack: bool = False) -> Check:
     """With `may_lack` values that are no numbers are no fault: a file holds what it holds, and its import counts them.
 
     Nobody can look at the raw counts of another laboratory.
@@ -165,8 +195,7 @@ def _values(dataset: Dataset, *, may_lack: bool = False) -> Check:
     if negative.any():
         faults.append(
             f"{_count(int(negative.sum()), 'point')} {_has(negative)} values that lie below zero by more than "
-            f"{NEGATIVE_FACTOR:g} standard uncertainties, the first at {_at(dataset, negative)}: take darks and stray "
-            f"light again."
+            f"{NEGATIVE_FACTOR:g} standard uncertainties, the first at {_at(dataset, negative)}: {advice.negative}."
         )
     if faults:
         return Check("values", False, " ".join(faults))
@@ -266,7 +295,7 @@ def _angle(mean: Averages) -> FloatArray:
     return combined(moves, mean.values.shape)[:, 0]
 
 
-def _noise_floor(dataset: Dataset) -> Check:
+def _noise_floor(dataset: Dataset, advice: _Advice) -> Check:
     below = dataset.flagged(Flag.BELOW_NOISE)
     if not below.any():
         return Check("noise floor", True, "All points stand clear of the noise.")
@@ -278,7 +307,7 @@ def _noise_floor(dataset: Dataset) -> Check:
     )
     if number <= points / 2:
         return Check("noise floor", True, f"{found}.")
-    return Check("noise floor", False, f"{found}: allow longer integration times, or measure fewer dark directions.")
+    return Check("noise floor", False, f"{found}: {advice.noise_floor}.")
 
 
 def _footprint(dataset: Dataset) -> Check:

@@ -1,4 +1,4 @@
-"""A calibrated in-plane spectral BRDF: what calibration makes and everything after it reads."""
+"""A calibrated in-plane spectral BRDF: what calibration, an import or a simulation makes, and all after it reads."""
 
 import dataclasses
 import hashlib
@@ -88,6 +88,11 @@ class Dataset:
     """What the sanity checks found."""
     lineage: dict[str, object] = field(default_factory=dict)
     """What it was derived from: run, exposures, reference scan, certificate, software version, settings."""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation made it, in which no detector stands in the way of the source."""
+        return "simulated" in self.lineage
 
     @cached_property
     def u(self) -> FloatArray:

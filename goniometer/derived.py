@@ -25,7 +25,7 @@ class Derived(Database):
     """The part of an open database that holds what was derived; `goniometer.store.Store` is the whole."""
 
     def add_dataset(self, scan_id: int | None, dataset: Dataset, certificate: str | None = None) -> int:
-        """Write a dataset and return its id; one that was imported has no scan.
+        """Write a dataset and return its id; one that was imported or simulated has no scan.
 
         `certificate` is the text of that it was calibrated with, None for that of its campaign.
         """
@@ -67,7 +67,7 @@ class Derived(Database):
         return text
 
     def datasets(self, scan_id: int | None = None) -> dict[int, int | None]:
-        """Scan id of every dataset (of one scan) by its id, oldest first; None where it was imported."""
+        """Scan id of every dataset (of one scan) by its id, oldest first; None where it was imported or simulated."""
         table = tables.datasets
         query = select(table.c.id, table.c.scan_id).order_by(table.c.id)
         if scan_id is not None:

@@ -29,6 +29,7 @@ from goniometer.dataset import Dataset
 from goniometer.fill import Filled, fill
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.reciprocity import SAME_INCIDENCE
+from goniometer.sector import is_hidden
 
 BAND = 25.0
 """Smallest width of the bands of wavelengths, nm."""
@@ -120,8 +121,9 @@ class _Nodes(NamedTuple):
 
 
 def _hidden_lobes(dataset: Dataset, mean: Averages, bands: FloatArray) -> Filled | None:
-    """The blocked directions of incident angles whose mirror direction is one of them; None where nothing fills any."""
+    """The hidden directions of incident angles whose mirror direction is one of them; None where nothing fills any."""
     incident = np.unique(dataset.theta_in[2 * dataset.theta_in < BLOCKED_HALF_WIDTH].round(1))
+    incident = incident[[is_hidden(dataset, angle) for angle in incident.tolist()]]
     known = np.isfinite(mean.values).all(axis=1)
     if not incident.size or np.count_nonzero(known) < FEWEST:
         return None

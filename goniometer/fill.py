@@ -21,7 +21,7 @@ from goniometer.between import interpolate
 from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.reciprocity import Row, reciprocity, reverse, rows_of
-from goniometer.sector import edges, rise, unseen
+from goniometer.sector import edges, is_hidden, rise, unseen
 from goniometer.uncertainty import variance_of_readings
 
 TELLS = 0.3
@@ -67,8 +67,9 @@ class Filled:
 def unmeasured(dataset: Dataset, step: float = 1.0) -> tuple[FloatArray, FloatArray]:
     """theta_in and theta_out [directions], degrees, of what lacks in a dataset and `fill` may say something about.
 
-    Of every incident angle the blocked sector, its edges left out, at most `step` degrees apart; the points without any
-    value; and beyond the outermost usable points the directions whose reverse has a measured incident angle.
+    Of every incident angle whose blocked sector nobody saw, that without its edges, at most `step` degrees apart; the
+    points without any value; and beyond the outermost usable points the directions whose reverse has a measured
+    incident angle.
     """
     rows = _rows(dataset)
     incident = np.array([row.theta_in for row in rows])
@@ -81,7 +82,7 @@ def unmeasured(dataset: Dataset, step: float = 1.0) -> tuple[FloatArray, FloatAr
         both = np.unique(np.concatenate([incident, -incident]))
         beyond = both[(both < measured.min() - 1) | (both > measured.max() + 1)]
         beyond = beyond[np.abs(beyond + angle) >= BLOCKED_HALF_WIDTH]
-        angles = np.concatenate([inside - angle, beyond])
+        angles = np.concatenate([inside - angle if is_hidden(dataset, angle) else inside[:0], beyond])
         angles = angles[np.abs(angles) <= LARGEST_ANGLE]
         found.append(np.column_stack([np.full(angles.size, angle), angles]))
     theta_in, theta_out = np.concatenate(found).T

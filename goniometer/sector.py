@@ -6,13 +6,27 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import FloatArray
+from goniometer.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE, Geometry
 from goniometer.interpolant import Interpolant, Shape, predict_values
 
 BESIDE = 1.5
 """Degrees from the sector's edge over which its slope is taken."""
 
+_STAGES = 0.2
+"""Degrees by which a point beside the sector may seem to stand in it."""
+
+_SAME_INCIDENCE = 0.1
+
 _EDGES = np.array([-1, -1, 1, 1]) * BLOCKED_HALF_WIDTH + np.array([-1, 0, 0, 1]) * BESIDE
+
+
+def is_hidden(dataset: Dataset, theta_in: float) -> bool:
+    """Whether nobody saw the sector of an incident angle, degrees; a simulation sees it, and so may other benches."""
+    if dataset.simulated:
+        return False
+    inside = np.abs(dataset.theta_in + dataset.theta_out) < BLOCKED_HALF_WIDTH - _STAGES
+    return not np.any(inside & (np.abs(dataset.theta_in - theta_in) < _SAME_INCIDENCE))
 
 
 def edges(incident: FloatArray) -> tuple[FloatArray, FloatArray]:

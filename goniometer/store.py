@@ -14,7 +14,7 @@ from sqlalchemy import Subquery, case, delete, func, insert, literal, or_, selec
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
-from goniometer.campaign import Campaign
+from goniometer.campaign import Campaign, changed_content
 from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
 from goniometer.database import insert_row
@@ -73,6 +73,7 @@ class Store(Derived):
         with self._writing() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
+                mine = tables.scans.c.campaign_id == known.id
                 if known.hash == campaign.hash and known.certificate == certificate:
                     # a certificate may have expired since, and somebody answers for it
                     connection.execute(
@@ -80,10 +81,15 @@ class Store(Derived):
                         .where(tables.campaigns.c.id == known.id)
                         .values(json=campaign.canonical_json)
                     )
+                    for each in campaign.samples:  # the file of a material may have been moved
+                        connection.execute(
+                            update(tables.scans)
+                            .where(mine, tables.scans.c.kind != "reference", tables.scans.c.sample == each.name)
+                            .values(material=each.material)
+                        )
                     return int(known.id)
-                mine = tables.scans.c.campaign_id == known.id
                 if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
-                    changed = "other content" if known.hash != campaign.hash else "another certificate"
+                    changed = changed_content(Campaign.model_validate_json(known.json), campaign)
                     raise CampaignError(
                         f'The campaign "{campaign.name}" in {self._where} was started with {changed}; '
                         f"undo the change to resume it, or give the changed campaign another name"

@@ -1,10 +1,10 @@
 """The tables of the database, and how to tell that a database is one of ours.
 
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
-sweeps), scans 1-n datasets 1-n fits and exports; imported datasets belong to no scan, and characterisations of the
-bench stand alone. Exposures and everything derived are only ever added: in SQLite, triggers refuse to change or delete
-them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those
-of two sessions cannot be compared.
+sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
+characterisations of the bench stand alone. Exposures and everything derived are only ever added: in SQLite, triggers
+refuse to change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the
+bench that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (

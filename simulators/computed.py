@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.checks import checks_of_imported, noise_flags
+from goniometer.checks import checks_of_simulated, noise_flags
 from goniometer.dataset import Dataset
 from goniometer.derived import software_version
 from goniometer.uncertainty import ErrorSource
@@ -36,15 +36,20 @@ class Computed:
     """Full angle over which every value is an average, degrees; 0 for none."""
     lineage: dict[str, object]
     """What was simulated and how; `simulated` is one phrase for lists, e.g. "rays on sample-1"."""
+    u_tilt: FloatArray | None = None
+    """[points, wavelengths] signed standard error that all wavelengths of a point share, one end of the spectrum being
+    too bright where the other is too dark, 1/sr: what makes a slope uncertain. None for none."""
 
 
 def computed_dataset(computed: Computed) -> Dataset:
     """The dataset of a simulation; it belongs into a database as one of no scan."""
     own = np.maximum(computed.u_spectral, PRECISION * np.abs(computed.brdf))
-    sources = (
+    sources: tuple[ErrorSource, ...] = (
         ErrorSource("random: of each wavelength", "random", own, None, shared_by_wavelengths=False),
         ErrorSource("random: of all wavelengths", "random", computed.u_level, None, shared_by_wavelengths=True),
     )
+    if computed.u_tilt is not None:
+        sources += (ErrorSource("random: of the tilt", "random", computed.u_tilt, None, shared_by_wavelengths=True),)
     dataset = Dataset(
         sample=computed.sample,
         theta_in=computed.theta_in,
@@ -58,4 +63,4 @@ def computed_dataset(computed: Computed) -> Dataset:
         aperture=computed.aperture,
         lineage=computed.lineage | {"software_version": software_version()},
     )
-    return replace(dataset, checks=checks_of_imported(dataset))
+    return replace(dataset, checks=checks_of_simulated(dataset))

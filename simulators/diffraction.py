@@ -19,8 +19,8 @@ from simulators.heights import HeightField, complete
 
 ComplexArray = NDArray[np.complex128]
 
-_PRECISION = 1e-8
-"""Asked of the fast transform; the dark directions of a patch are some 1000 times weaker than its brightest."""
+PRECISION = 1e-8
+"""Usually asked of the fast transform; the dark directions of a patch are some 1000 times weaker than its brightest."""
 
 _AT_ONCE = 4_000_000
 """Points of a height map that are transformed together, which bounds the memory to some hundred megabytes."""
@@ -88,9 +88,14 @@ def direct_integral(
 
 
 def diffraction_integral(
-    field: HeightField, amplitude: FloatArray, kx: FloatArray, kz: FloatArray, ky: float = 0.0
+    field: HeightField,
+    amplitude: FloatArray,
+    kx: FloatArray,
+    kz: FloatArray,
+    ky: float = 0.0,
+    precision: float = PRECISION,
 ) -> ComplexArray:
-    """What `direct_integral` returns, to about 1e-8 of its largest values, in a small fraction of the time."""
+    """What `direct_integral` returns, to about `precision` of its largest values, in a small fraction of the time."""
     heights = complete(field)
     x, y = _middle_out(field)
     total = np.zeros(kx.size, dtype=np.complex128)
@@ -100,7 +105,7 @@ def diffraction_integral(
         strengths = (amplitude[part] * field.pitch_um**2) * np.exp(1j * ky * y[part])[:, None]
         places = np.broadcast_to(x, strengths.shape).ravel()
         total += finufft.nufft2d3(
-            places, heights[part].ravel(), strengths.ravel(), kx.ravel(), kz.ravel(), eps=_PRECISION, isign=1
+            places, heights[part].ravel(), strengths.ravel(), kx.ravel(), kz.ravel(), eps=precision, isign=1
         )
     return total.reshape(kx.shape)
 

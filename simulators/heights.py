@@ -147,6 +147,23 @@ def roughness(field: HeightField) -> Roughness:
     )
 
 
+def every_second(field: HeightField) -> HeightField:
+    """Every second point along x and along y: what the same surface tells on a grid of twice the pitch."""
+    heights = field.heights_um[::2, ::2]
+    even = not any(count % 2 for count in field.heights_um.shape)
+    return HeightField(heights, 2 * field.pitch_um, field.periodic and even)
+
+
+def quarters(field: HeightField) -> list[HeightField]:
+    """The four patches of half the width and height, none of which is periodic."""
+    rows, columns = (count // 2 for count in field.heights_um.shape)
+    return [
+        HeightField(field.heights_um[y : y + rows, x : x + columns], field.pitch_um, False)
+        for y in (0, rows)
+        for x in (0, columns)
+    ]
+
+
 def autocorrelation(field: HeightField) -> FloatArray:
     """[y, x] of the heights about their mean, one at lag zero, which is in the middle: at [ny // 2, nx // 2].
 

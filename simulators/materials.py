@@ -14,7 +14,10 @@ from analysis.models import cosine_slope, theta_m
 from drivers.arrays import FloatArray
 from goniometer.certificate import NOMINAL_SRS99, Certificate
 from goniometer.errors import InputError
+from goniometer.material_file import material_file
 from simulators.surfaces import PATCHES, SANDBLASTED, SANDED, Surface, colorchecker_patch, over_aperture, surface_brdf
+from simulators.tabulated import Tabulated, tabulated_brdf
+from simulators.tabulated_file import read_tabulated
 
 DETECTOR_APERTURE = 1.0
 """Full angle of the detector's round aperture, degrees."""
@@ -103,7 +106,7 @@ class Emitter:
     """Wavelength in air, nm, and strength of each emission line: counts a second, all pixels of the line together."""
 
 
-Mountable = Material | Surface | Panel | Embossed | Emitter
+Mountable = Material | Surface | Panel | Embossed | Emitter | Tabulated
 
 _COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100), diameter_mm=15.0)
 
@@ -179,10 +182,20 @@ def material(name: str) -> Mountable:
     """What is called `name`: a key of `SAMPLES`, "mirror" for Sample 6, or the name of one of the others.
 
     These are those of `simulators.surfaces.SANDBLASTED` and `SANDED`, "colorchecker-1" to "colorchecker-24",
-    "spectralon", "embossed", "mercury-argon" and "nothing".
+    "spectralon", "embossed", "mercury-argon" and "nothing"; "file:PATH" is one of `simulators.tabulated`.
 
-    Raises `UnknownMaterial`, which lists what there is.
+    Raises `UnknownMaterial`, which lists what there is, and for a file that is not the one that its name means;
+    `UnfitTable` for a file that holds no material.
     """
+    file = material_file(name)
+    if file is not None:
+        table = read_tabulated(file.path)
+        if file.content is not None and file.content.sha256 != table.sha256:
+            raise UnknownMaterial(
+                f"{file.path}: the material is not the one that the campaign began with; put that file back, or give "
+                f"the campaign another name."
+            )
+        return table
     others: tuple[Mountable, ...] = (SPECTRALON, EMBOSSED, MERCURY_ARGON, NOTHING)
     known: dict[str, Mountable] = {**SAMPLES, **SANDBLASTED, **SANDED, **{other.name: other for other in others}}
     found = known.get(_ALIASES.get(name, name))
@@ -191,7 +204,7 @@ def material(name: str) -> Mountable:
     patches = {f"colorchecker-{number}": number for number in range(1, PATCHES + 1)}
     if name in patches:
         return colorchecker_patch(patches[name])
-    names = [*known, *_ALIASES, f"colorchecker-1 to colorchecker-{PATCHES}"]
+    names = [*known, *_ALIASES, f"colorchecker-1 to colorchecker-{PATCHES}", "file:PATH"]
     raise UnknownMaterial(f"The simulated bench has no material '{name}'; it has {', '.join(names)}")
 
 
@@ -237,8 +250,9 @@ def true_brdf(
     `theta_in`, `theta_out` [points] in degrees, signed as in `goniometer.geometry`; zero below the horizon.
     `wavelengths` in nm. `aperture` is the full angle, degrees, 0 for a detector that is a point; `spot` says where on
     an inhomogeneous sample it looks. The panel is what its certificate says, at the centre of the aperture, over which
-    it hardly changes. Raises `OutOfRange` or `CertificateError` where the material has no data, and `UnknownMaterial`
-    for a lamp, which has no BRDF.
+    it hardly changes; a table that is an average over an aperture is taken as it is, whatever `aperture` says. Raises
+    `OutOfRange` or `CertificateError` where the material has no data, and `UnknownMaterial` for a lamp, which has no
+    BRDF.
     """
     value = np.zeros((theta_in.size, wavelengths.size))
     above = np.flatnonzero((np.abs(theta_in) < 90) & (np.abs(theta_out) < 90))
@@ -251,6 +265,11 @@ def true_brdf(
         value[above] = what.certificate.brdf(np.abs(theta_in[above]), theta_out[above], wavelengths)
     elif isinstance(what, Embossed):
         value[above] = _embossed(what, theta_in[above], theta_out[above], _aperture(aperture, False))[:, None]
+    elif isinstance(what, Tabulated):
+        disc = _aperture(aperture, False) if aperture > 0 else None
+        for start in range(0, above.size, _AT_ONCE):
+            some = above[start : start + _AT_ONCE]
+            value[some] = tabulated_brdf(what, theta_in[some], theta_out[some], wavelengths, disc)
     else:
         alpha = what.alpha if isinstance(what, Surface) else what.alpha_at(spot)
         index = aluminium_beyond_its_table().index(wavelengths)

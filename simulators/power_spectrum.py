@@ -44,8 +44,8 @@ _EDGE = 3.0
 _FLAT_UM = 0.01
 """Range of heights in um below which a map is treated as if it had this range."""
 
-_AT_ONCE = 17
-"""Harmonics across the plane that are computed together, which bounds the memory."""
+_AT_ONCE = 30_000_000
+"""Values that are computed together, of as many harmonics across the plane as that makes: some hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,9 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
     harmonics = min((ny - 1) // 2, ceil(_ACROSS / smallest_window_um * across_um / (2 * pi)))
     fade_across, fade_along = (_fade(field, points, smallest_window_um) for points in (ny, nx))
     power = np.zeros((harmonics + 1, nx, count), dtype=np.float32)
-    for low in range(-harmonics, harmonics + 1, _AT_ONCE):
-        high = min(low + _AT_ONCE - 1, harmonics)
+    together = max(1, _AT_ONCE // (nx * count))
+    for low in range(-harmonics, harmonics + 1, together):
+        high = min(low + together - 1, harmonics)
         columns = _transformed_columns(heights, fade_across, (low, high), (first, count), step)
         columns *= fade_along[:, None, None].astype(np.float32)
         for index, harmonic in enumerate(range(low, high + 1)):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import BoolArray, CountArray, FloatArray
 from goniometer.errors import InputError
@@ -29,6 +30,10 @@ _AT_ONCE = 2**15
 
 _NODES = 4097
 """Of the table of reflectance over the cosine: linear interpolation departs from aluminium's by less than 1e-6."""
+
+
+Entry = tuple[float, float, float, float]
+"""Rectangle through which light comes in, um, at the height of the highest point: lowest x and y, highest x and y."""
 
 
 class UnfitRays(InputError):
@@ -59,6 +64,11 @@ class Terrain:
     def size(self) -> tuple[int, int]:
         """Cells along x and along y."""
         return self.heights.shape[1] - 1, self.heights.shape[0] - 1
+
+    @property
+    def extent_um(self) -> Entry:
+        """All of the patch, um."""
+        return 0.0, 0.0, self.size[0] * self.pitch_um, self.size[1] * self.pitch_um
 
 
 @dataclass(frozen=True)
@@ -106,6 +116,9 @@ class VirtualScan:
     """Share of the rays that were stopped at the limit."""
     reflected: FloatArray
     """[limit + 1, wavelengths] share of the light that escaped after 0, 1, 2, ... reflections, after absorption."""
+    forward: FloatArray
+    """[limit + 1, wavelengths] part of `reflected` that left to the side of the mirror direction, over that half of
+    the hemisphere; the rest left to the side where the light came from. What left along the normal counts half."""
 
 
 def terrain(field: HeightField) -> Terrain:
@@ -126,7 +139,7 @@ def beam(
 
     `theta_in` in degrees, less than 90; `azimuth` degrees from x towards y to where a mirror sends the light.
     """
-    return _beam(surface, theta_in, rays, np.random.default_rng(seed), azimuth)
+    return _beam(surface, theta_in, rays, np.random.default_rng(seed), azimuth, surface.extent_um)
 
 
 def trace(surface: Terrain, origins_um: FloatArray, directions: FloatArray, limit: int = LIMIT) -> Paths:
@@ -162,11 +175,7 @@ def trace(surface: Terrain, origins_um: FloatArray, directions: FloatArray, limi
 
 def weights(paths: Paths, table: FloatArray) -> FloatArray:
     """[rays, wavelengths] product of the reflectances of all reflections of each ray; `table` as of `tabulated`."""
-    from simulators.ray_kernel import weigh  # noqa: PLC0415  (compiles)
-
-    product = np.ones((len(paths.reflections), table.shape[1]))
-    weigh(paths.reflections, paths.cosines.T, table, product)
-    return product
+    return _weights_of(paths, np.arange(len(paths.reflections)), table)
 
 
 def tabulated(reflectance: Reflectance) -> FloatArray:
@@ -186,13 +195,35 @@ def virtual_scan(
     limit: int = LIMIT,
     executor: Executor | None = None,
 ) -> VirtualScan:
-    """Measure a height field with rays: what falls into a round aperture around each in-plane direction.
+    """Measure a height field with rays: `collected` from all of it, prepared anew.
+
+    Raises `UnfitTopography` for a surface with holes, otherwise as `collected`.
+    """
+    surface, table = terrain(field), tabulated(reflectance)
+    return collected(surface, theta_in, theta_out, table, rays, seed, aperture, azimuth, limit, executor=executor)
+
+
+def collected(
+    surface: Terrain,
+    theta_in: float,
+    theta_out: FloatArray,
+    table: FloatArray,
+    rays: int,
+    seed: int,
+    aperture: float = 1.0,
+    azimuth: float = 0.0,
+    limit: int = LIMIT,
+    entry_um: Entry | None = None,
+    executor: Executor | None = None,
+) -> VirtualScan:
+    """What falls into a round aperture around each in-plane direction.
 
     Angles in degrees; `aperture` is the full angle, and apertures of neighbouring `theta_out` may overlap. With w the
     weight of a ray and theta its angle to the mean surface, `f = sum(w / cos theta) / (rays x solid angle)`, the mean
-    of the BRDF over the aperture. The same `seed` gives the same result, whatever `executor` traces the batches;
+    of the BRDF over the aperture. `table` is the reflectance as of `tabulated`; light comes in through `entry_um`, and
+    through the whole patch without. The same `seed` gives the same result, whatever `executor` traces the batches;
     threads do well, as tracing does not hold the interpreter. Raises `UnfitRays` for directions at or beyond the
-    horizon, `UnfitTopography` for a surface with holes.
+    horizon.
     """
     if not (0 <= theta_in < 90 and np.all(np.abs(theta_out) + aperture / 2 < 90)):
         raise UnfitRays(
@@ -201,13 +232,14 @@ def virtual_scan(
         )
     if rays < 2 or limit < 1:
         raise UnfitRays(f"A virtual scan needs two rays and one reflection, not {rays} and {limit}.")
-    batch = partial(_batch, terrain(field), theta_in, theta_out, tabulated(reflectance), seed, aperture, azimuth, limit)
+    entry = surface.extent_um if entry_um is None else entry_um
+    batch = partial(_batch, surface, theta_in, theta_out, table, seed, aperture, azimuth, limit, entry)
     sizes = [min(_AT_ONCE, rays - first) for first in range(0, rays, _AT_ONCE)]
     counted: Iterator[_Sums] = (map if executor is None else executor.map)(batch, range(len(sizes)), sizes)
     total = next(counted)
     for further in counted:
         total = tuple(a + b for a, b in zip(total, further, strict=True))
-    first, second, escaped, lost, stopped, reflected = total
+    first, second, escaped, lost, stopped, reflected, forward = total
     solid_angle = 2 * np.pi * (1 - np.cos(np.radians(aperture / 2)))
     mean = first / rays
     error = np.sqrt(np.maximum(second / rays - mean**2, 0) / (rays - 1))
@@ -222,12 +254,13 @@ def virtual_scan(
         lost=float(lost / rays),
         stopped=float(stopped / rays),
         reflected=reflected / rays,
+        forward=forward / rays,
     )
 
 
 _Sums = tuple[FloatArray, ...]
 """Of x and of x^2 [points, orders, wavelengths], of escaped rays [limit + 1], of lost and of stopped ones, and of the
-weights of escaped ones [limit + 1, wavelengths]; x is weight / cos theta."""
+weights of escaped ones, all and those that went forward [limit + 1, wavelengths]; x is weight / cos theta."""
 
 
 def _batch(
@@ -239,45 +272,73 @@ def _batch(
     aperture: float,
     azimuth: float,
     limit: int,
+    entry_um: Entry,
     number: int,
     rays: int,
 ) -> _Sums:
     """Trace batch `number` and sum up what escapes; a pure function of its arguments."""
-    origins, incident = _beam(surface, theta_in, rays, np.random.default_rng([seed, number]), azimuth)
+    origins, incident = _beam(surface, theta_in, rays, np.random.default_rng([seed, number]), azimuth, entry_um)
     paths = trace(surface, origins, incident, limit)
-    weight = weights(paths, table)
     escaped = np.bincount(paths.reflections[paths.escaped], minlength=limit + 1).astype(float)
-    reflected = np.stack(
-        [
-            weight[paths.escaped & (paths.reflections == order)].sum(axis=0) if count else np.zeros(table.shape[1])
-            for order, count in enumerate(escaped)
-        ]
-    )
     east, north = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
     x, y, z = paths.directions.T
     along, sideways = east * x + north * y, east * y - north * x
+    ahead, upright, behind = (
+        _weight_by_order(paths, table, paths.escaped & side) for side in (along > 0, along == 0, along < 0)
+    )
     half = np.radians(aperture / 2)
     near = np.flatnonzero(paths.escaped & (np.abs(sideways) <= np.sin(half)) & (paths.reflections > 0))
     looking = np.radians(theta_out)
     cosine = np.outer(along[near], np.sin(looking)) + np.outer(z[near], np.cos(looking))
     ray, point = np.nonzero(cosine >= np.cos(half))
     order = np.minimum(paths.reflections[near[ray]], ORDERS).astype(int) - 1
-    value = weight[near[ray]] / z[near[ray], None]
+    value = (_weights_of(paths, near, table) / z[near, None])[ray]
     first, second = (np.zeros((theta_out.size, ORDERS, table.shape[1])) for _ in range(2))
     np.add.at(first, (point, order), value)
     np.add.at(second, (point, order), value**2)
-    return first, second, escaped, np.asarray(paths.lost.sum()), np.asarray(paths.stopped.sum()), reflected
+    lost, stopped = (np.asarray(ended.sum()) for ended in (paths.lost, paths.stopped))
+    return first, second, escaped, lost, stopped, ahead + upright + behind, ahead + upright / 2
+
+
+def _weight_by_order(paths: Paths, table: FloatArray, chosen: BoolArray) -> FloatArray:
+    """[limit + 1, wavelengths] sum of the weights of `chosen` rays [rays] after 0, 1, 2, ... reflections."""
+    limit, last = paths.cosines.shape[1], table.shape[0] - 1
+    total = np.zeros((limit + 1, table.shape[1]))
+    total[0] = np.count_nonzero(chosen & (paths.reflections == 0))
+    # Most rays are reflected once. Interpolation is linear, so that the table is asked for all of them together.
+    place = np.minimum(paths.cosines[chosen & (paths.reflections == 1), 0], 1.0) * last
+    node = np.minimum(place.astype(int), last - 1)
+    share = np.bincount(node, node + 1 - place, last + 1) + np.bincount(node + 1, place - node, last + 1)
+    total[1] = share @ table
+    more = np.flatnonzero(chosen & (paths.reflections > 1))
+    np.add.at(total, paths.reflections[more], _weights_of(paths, more, table))
+    return total
+
+
+def _weights_of(paths: Paths, chosen: NDArray[np.intp], table: FloatArray) -> FloatArray:
+    """[chosen, wavelengths] as `weights`, of the rays of these numbers."""
+    from simulators.ray_kernel import weigh  # noqa: PLC0415  (compiles)
+
+    product = np.ones((chosen.size, table.shape[1]))
+    weigh(paths.reflections[chosen], np.ascontiguousarray(paths.cosines.T[:, chosen]), table, product)
+    return product
 
 
 def _beam(
-    surface: Terrain, theta_in: float, rays: int, random: np.random.Generator, azimuth: float
+    surface: Terrain,
+    theta_in: float,
+    rays: int,
+    random: np.random.Generator,
+    azimuth: float,
+    entry_um: Entry,
 ) -> tuple[FloatArray, FloatArray]:
     tilt, turn = np.radians(theta_in), np.radians(azimuth)
+    low, high = np.array(entry_um[:2]), np.array(entry_um[2:])
     origins = np.empty((rays, 3))
-    origins[:, :2] = random.random((rays, 2)) * surface.size
-    origins[:, 2] = surface.top
+    origins[:, :2] = low + random.random((rays, 2)) * (high - low)
+    origins[:, 2] = surface.top * surface.pitch_um
     direction = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
-    return origins * surface.pitch_um, np.broadcast_to(direction, (rays, 3))
+    return origins, np.broadcast_to(direction, (rays, 3))
 
 
 def _highest(values: FloatArray) -> FloatArray:

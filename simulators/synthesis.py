@@ -30,8 +30,12 @@ _SHALLOWEST = 0.5
 _FULL, _SPARSE = 3.0, 1.0
 """Coverage of the paper's samples, and of its Sample 8."""
 
-_MET, _CLOSE, _TRIES = 1e-4, 0.02, 30
-"""How nearly the wanted roughness is met, and the coverage, and in how many steps at most."""
+_MET, _CLOSE, _TRIES, _PATIENT = 1e-4, 0.02, 30, 6
+"""How nearly the wanted roughness is met, and the coverage, in how many steps at most, and after how many less nearly
+the coverage."""
+
+_FINE = 1024
+"""Points along a side above which the depth is searched on a coarser grid first."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +57,9 @@ def sandblasted(
     """A square patch of `size` x `size` points with the root mean square height `rms_um`.
 
     `abrasive_um` are the smallest and the largest diameter of the beads (Table 1), all in between equally frequent.
-    `coverage` is the area of all dents over that of the patch, kept within 2 %: exp(-coverage) of it stays bare. Depths
-    are spread evenly from half the largest to the largest, which is searched until the roughness is met. Raises
+    `coverage` is the area of all dents over that of the patch, kept within 2 % (on a small patch within some more):
+    exp(-coverage) of it stays bare. Depths are spread evenly from half the largest to the largest, which is searched
+    until the roughness is met. Raises
     `UnfitTopography` if such beads cannot make the surface so rough, or if the patch is too small for them.
     """
     radii = abrasive_um[0] / 2, abrasive_um[1] / 2
@@ -70,11 +75,15 @@ def sandblasted(
     # A dent of depth d has the area pi (2 R d - d^2), here averaged over radii and depths.
     mean, mean_square = (1 + _SHALLOWEST) / 2, (1 + _SHALLOWEST + _SHALLOWEST**2) / 3
     depth, number = 3.5 * rms_um, 0
-    for _ in range(_TRIES):
+    if size > _FINE:  # most of the search is cheaper on a coarse grid
+        coarse = sandblasted(abrasive_um, rms_um, coverage, size // 4, pitch_um * size / (size // 4), seed)
+        depth, number = coarse.depth_um, coarse.dents
+    for tried in range(_TRIES):
         if depth > radii[0]:
             break
         dents = coverage * (size * pitch_um) ** 2 / (np.pi * (sum(radii) * mean * depth - mean_square * depth**2))
-        if abs(number / dents - 1) > _CLOSE:  # else it stays, so that the roughness follows the depth without jumps
+        # else it stays, so that the roughness follows the depth without jumps; on a small patch these may have no end
+        if abs(number / dents - 1) > _CLOSE * max(1, tried - _PATIENT):
             number = round(dents)
         heights = _dents(np.random.default_rng(seed).random((number, 4)), radii, depth, size, pitch_um)
         reached = float(heights.std())
@@ -101,6 +110,25 @@ def sandblasted_sample(sample: Material, size: int, pitch_um: float, seed: int) 
         raise UnfitTopography(f"The sample {sample.name} was polished, not sandblasted; no bead shaped its surface.")
     coverage = _SPARSE if sample.name == "sample-8" else _FULL
     return sandblasted(sample.abrasive_um, sample.roughness_rms_um, coverage, size, pitch_um, seed)
+
+
+def polished_sample(sample: Material, size: int, pitch_um: float, seed: int) -> HeightField:
+    """The topography of a polished sample: a Gaussian waviness with the roughness of Table 1 and facets of its alpha.
+
+    The autocorrelation length 2 rms / alpha gives Beckmann's roughness alpha, sqrt(2) times the rms slope in each
+    direction, so that the patch is as much of a mirror as the sample; scratches, which the paper's mirror has, are left
+    out. Raises `UnfitTopography` for a patch of less than four such lengths, or for a sample that was sandblasted.
+    """
+    if sample.abrasive_um is not None:
+        raise UnfitTopography(f"The sample {sample.name} was sandblasted; its surface is not that of a polished one.")
+    length = 2 * sample.roughness_rms_um / sample.alpha
+    if length > size * pitch_um / 4:
+        raise UnfitTopography(
+            f"The waviness of {sample.name} is {length:.3g} um long; a patch of {size * pitch_um:g} um is too "
+            f"small for it, make it {4 * length:.0f} um."
+        )
+    field = gaussian(sample.roughness_rms_um, gaussian_correlation(length), size, pitch_um, seed)
+    return replace(field, heights_um=field.heights_um * (sample.roughness_rms_um / field.heights_um.std()))
 
 
 def _dents(drawn: FloatArray, radii: tuple[float, float], depth: float, size: int, pitch_um: float) -> FloatArray:

@@ -94,7 +94,7 @@ def test_the_table_says_all_parts_the_sum_and_the_coverage_factor(dataset: Datas
     assert "combined, k = 1" in table
     assert "expanded, k = 2" in table
     assert f"± {2 * found.u:.2g} 1/sr (expanded uncertainty, k = 2: 95.45 %" in table
-    page = budget_page(found, budget_panels(dataset, 40, 40))
+    page = budget_page(found, budget_panels(dataset, 40, 40), "What they show.")
     assert "disc &lt;2&gt;: uncertainty budget" in page
     assert "src=" not in page
 

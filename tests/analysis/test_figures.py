@@ -135,7 +135,7 @@ def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(
     theta_out = random.permutation(dataset.theta_out + 0.01 * np.sign(dataset.theta_in + dataset.theta_out))
     seen = np.abs(dataset.theta_in + theta_out) > 5.1
     theta_in, theta_out = theta_in[seen], theta_out[seen]
-    left, right, bottom, top = figures.cell_edges(theta_in, theta_out).T
+    left, right, bottom, top = figures.cell_edges(replace(dataset, theta_in=theta_in, theta_out=theta_out)).T
     assert np.all((left <= theta_out) & (theta_out <= right))
     assert np.all((bottom < theta_in) & (theta_in < top))
     back = -np.round(theta_in / 10) * 10

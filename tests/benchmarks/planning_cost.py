@@ -14,7 +14,8 @@ from goniometer.interpolant import predict_values
 from goniometer.learning import learnt_from
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points
 from goniometer.route import Motion, travel
-from tests.benchmarks.sampling import THETA_IN, process_of, uniform_points
+from simulators.tradeoff_scans import process_of, uniform_directions
+from tests.benchmarks.sampling import THETA_IN
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS
 
 SPEC = PlanSpec(THETA_IN, tolerance=1e-5, colour_tolerance=None, minimum_step=0.05)
@@ -36,7 +37,7 @@ def best(work: Callable[[], object], times: int = 5) -> float:
 def main() -> None:
     """Print the costs."""
     truth, random = MATERIALS["two lobes"], np.random.default_rng(1)
-    grid = uniform_points(2.0)
+    grid = uniform_directions(SPEC, 2.0)
     chosen = [grid[i] for i in sorted(random.choice(len(grid), POINTS, replace=False))]
     theta_in, theta_out = np.array([g.theta_in for g in chosen]), np.array([g.theta_out for g in chosen])
     spectra = truth(theta_in, theta_out, WAVELENGTHS) * (1 + 1e-4 * random.normal(size=(POINTS, WAVELENGTHS.size)))

@@ -16,30 +16,28 @@ from scipy.interpolate import PchipInterpolator
 
 from analysis.colour import delta_e_2000, xyz_weights
 from drivers.arrays import FloatArray
-from goniometer.duration import DEAD_TIME
 from goniometer.geometry import Geometry
-from goniometer.interpolant import Interpolant, condition, learn, predict_values
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
-from goniometer.route import Motion, ordered, travel
+from goniometer.route import ordered
+from simulators.tradeoff_scans import (
+    Read,
+    bench_minutes,
+    process_of,
+    readings,
+    through,
+    through_pchip,
+    uniform_directions,
+)
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS, Truth
 
 THETA_IN = tuple(float(t) for t in range(0, 81, 10))
 SPEC = PlanSpec(THETA_IN)
 TOLERANCES = (0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS = (10.0, 5.0, 2.0, 1.0, 0.5)
-NOISE = 1e-3
-"""Relative standard deviation of a reading."""
-DARK = 1e-5
-"""Its standard deviation in the dark, 1/sr."""
-FULL = 0.1
-"""Seconds of integration for cos(theta_in) f = 1."""
 COLOUR = np.arange(400.0, 701.0, 25.0)
 """Wavelengths by which colours are judged, nm."""
 AIMS = {"GGX 0.005": 0.05, "GGX 0.02": 0.2, "GGX 0.05": 0.35, "GGX 0.126": 0.6, "two lobes": 0.45}
 """Points over those of the uniform grid of equal rms error, at most; 1 for all others."""
-
-Read = Callable[[FloatArray, FloatArray], FloatArray]
-"""cos(theta_in) f [points, bands] at theta_in, theta_out [points]."""
 
 
 @dataclass(frozen=True)
@@ -103,72 +101,13 @@ def judge(truth: Truth) -> Judge:
 
 def measure(truth: Truth, path: Sequence[Geometry], random: np.random.Generator) -> list[Measured]:
     """What the bench would read."""
-    theta_in, theta_out = np.array([g.theta_in for g in path]), np.array([g.theta_out for g in path])
-    value = truth(theta_in, theta_out)
-    noise = np.hypot(NOISE * value, DARK)
-    read = value + noise * random.normal(size=value.shape)
-    return [Measured(g, v, u) for g, v, u in zip(path, read, noise, strict=True)]
-
-
-def minutes(points: Sequence[Measured]) -> float:
-    """Time to measure points in this order: moves, integration until the detector is full, dead time."""
-    integration = sum(float(np.clip(FULL / max(p.values.max(), 1e-9), 0.008, 30.0)) for p in points)
-    return (travel([p.geometry for p in points], Motion()).seconds + integration + DEAD_TIME * len(points)) / 60
-
-
-def uniform_points(step: float) -> list[Geometry]:
-    """A uniform grid with the edges of the blocked sector."""
-    places = [
-        Geometry(t, float(x))
-        for t in THETA_IN
-        for a, b in segments(SPEC, t)
-        for x in {a, b, *np.arange(np.ceil(a / step) * step, b, step)}
-    ]
-    return ordered(places)
-
-
-def through_pchip(points: Sequence[Measured]) -> Read:
-    """Monotone cubic through ln(1 + cos f) of each incident angle and each side of the blocked sector."""
-
-    def read(theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
-        out = np.zeros((theta_in.size, BANDS.size))
-        for t in np.unique(theta_in):
-            for low, high in segments(SPEC, float(t)):
-                here = (theta_in == t) & (theta_out >= low - 1e-9) & (theta_out <= high + 1e-9)
-                mine = sorted(
-                    (p for p in points if p.geometry.theta_in == t and low <= p.geometry.theta_out <= high),
-                    key=lambda p: p.geometry.theta_out,
-                )
-                if not here.any():
-                    continue
-                x = np.array([p.geometry.theta_out for p in mine])
-                y = np.log1p(np.maximum([p.values for p in mine], 0))
-                out[here] = np.expm1(PchipInterpolator(x, y)(theta_out[here]) if len(x) > 1 else y[:1])
-        return out
-
-    return read
-
-
-def process_of(points: Sequence[Measured]) -> Interpolant:
-    """The plan's interpolation of any points."""
-    theta_in = np.array([p.geometry.theta_in for p in points])
-    theta_out = np.array([p.geometry.theta_out for p in points])
-    values, noise = np.array([p.values for p in points]), np.array([p.noise for p in points])
-    stride = max(len(points) // 300, 1)
-    shape = learn(theta_in[::stride], theta_out[::stride], values[::stride], noise[::stride])
-    return condition(shape, theta_in, theta_out, values, noise)
-
-
-def through_process(points: Sequence[Measured]) -> Read:
-    """The same as a function."""
-    process = process_of(points)
-    return lambda theta_in, theta_out: predict_values(process, theta_in, theta_out)[0]
+    return readings(truth(np.array([g.theta_in for g in path]), np.array([g.theta_out for g in path])), path, random)
 
 
 def midpoints(truth: Truth, tolerance: float, random: np.random.Generator) -> list[Measured]:
     """Refinement of a monotone cubic: an interval is halved where it departs from its chord by more than allowed."""
     near = [Geometry(t, t + d) for t in THETA_IN for d in (-3.0, -1.0, 0.0, 1.0, 3.0)]
-    first = {g for g in [*uniform_points(10.0), *near] if not g.blocked and abs(g.theta_out) <= 85}
+    first = {g for g in [*uniform_directions(SPEC, 10.0), *near] if not g.blocked and abs(g.theta_out) <= 85}
     points = measure(truth, ordered(sorted(first)), random)
     while True:
         new: list[Geometry] = []
@@ -210,17 +149,17 @@ def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
         rms, largest, dark, colour = judged.errors(read)
         told = reached(spec, points) if spec else None
         extra = (told.error, told.largest_error, told.colour_error, str(told.stopped)) if told else ()
-        return Result(method, len(points) / len(THETA_IN), minutes(points), rms, largest, dark, colour, *extra)
+        return Result(method, len(points) / len(THETA_IN), bench_minutes(points), rms, largest, dark, colour, *extra)
 
     results = []
     for step in GRIDS:
-        points = measure(truth, uniform_points(step), random)
-        results.append(result("uniform", points, through_pchip(points)))
+        points = measure(truth, uniform_directions(SPEC, step), random)
+        results.append(result("uniform", points, through_pchip(SPEC, points)))
         if step >= 2:
-            results.append(result("uniform, same interpolation", points, through_process(points)))
+            results.append(result("uniform, same interpolation", points, through(process_of(points))))
     for tolerance in (0.05, 0.02, 0.01, 0.005, 0.002):
         points = midpoints(truth, tolerance, random)
-        results.append(result("midpoints", points, through_pchip(points)))
+        results.append(result("midpoints", points, through_pchip(SPEC, points)))
     for tolerance in TOLERANCES:
         spec = PlanSpec(THETA_IN, tolerance=tolerance, colour_tolerance=None)
         points = dynamic(truth, spec, random)
@@ -254,7 +193,7 @@ def through_process_of_plan(spec: PlanSpec, points: list[Measured]) -> Read:
     """What the plan itself believes at its end."""
     process = interpolation(spec, points)
     assert process is not None
-    return lambda theta_in, theta_out: predict_values(process, theta_in, theta_out)[0]
+    return through(process)
 
 
 def ratio(one: Result, results: Sequence[Result], error: Callable[[Result], float]) -> float:

@@ -18,7 +18,8 @@ from goniometer.dataset import Dataset
 from goniometer.fill import fill, unmeasured
 from goniometer.geometry import LARGEST_ANGLE, Geometry
 from goniometer.uncertainty import ErrorSource, everywhere
-from tests.benchmarks.sampling import DARK, NOISE, SPEC, THETA_IN, dynamic
+from simulators.tradeoff_scans import DARK, NOISE
+from tests.benchmarks.sampling import SPEC, THETA_IN, dynamic
 from tests.benchmarks.sampling_materials import MATERIALS
 
 WAVELENGTHS = np.linspace(420.0, 780.0, 13)

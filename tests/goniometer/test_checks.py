@@ -14,6 +14,7 @@ from goniometer.between import interpolate
 from goniometer.checks import checks, checks_of_imported, noise_flags
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.energy import energy
+from goniometer.fill import unmeasured
 from goniometer.reciprocity import reciprocity
 from goniometer.uncertainty import ErrorSource, everywhere
 from simulators.materials import SAMPLES
@@ -298,3 +299,13 @@ def _with_points(dataset: Dataset, points: NDArray[np.intp]) -> Dataset:
         ),
         flags=dataset.flags[points],
     )
+
+
+@pytest.mark.parametrize("lineage", [{}, {"simulated": "rays on sample-4"}])
+def test_the_energy_of_a_sector_that_was_seen_is_that_of_its_values_and_not_of_what_would_fill_it(
+    lineage: dict[str, object],
+) -> None:
+    theta_in, theta_out = (a.ravel() for a in np.meshgrid([0.0, 30.0], np.arange(-85.0, 86, 1), indexing="ij"))
+    dataset = replace(of_values(theta_in, theta_out, np.full(theta_in.size, 1 / np.pi)), lineage=lineage)
+    assert not np.any(np.abs(np.sum(unmeasured(dataset), axis=0)) < 5)
+    assert energy(dataset).rho[0, 0] == pytest.approx(1.0, abs=0.005)  # a white sheet at normal incidence
