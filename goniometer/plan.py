@@ -35,7 +35,7 @@ from goniometer.plan_spec import (
     uniform,
     uniform_grid_size,
 )
-from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, seen_in_scene, total
+from goniometer.refinement import Candidates, Errors, candidates, choose, expected_errors, total
 from goniometer.route import ordered
 from goniometer.sector import beside
 from goniometer.sweep import Swept, searched, summits, unexplained
@@ -308,9 +308,7 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
         share = where.share * spec.importance(where.theta_in, where.theta_out)
         where = replace(where, share=share / share.sum())
     predicted = predict(process, where.theta_in, where.theta_out)
-    errors = expected_errors(process, where, predicted)
-    if spec.colour_slope is not None:
-        errors = seen_in_scene(errors, where, spec.colour_slope)
+    errors = expected_errors(process, where, predicted, spec.colour_slope)
     goals = np.maximum(_wanted(spec), errors.noise_floor)
     return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
 
@@ -337,9 +335,7 @@ def _chosen(
             np.append(where.share, np.zeros(len(pending))),
         )
         predicted = predict(known.process, where.theta_in, where.theta_out)
-        errors = expected_errors(known.process, where, predicted)
-        if spec.colour_slope is not None:
-            errors = seen_in_scene(errors, where, spec.colour_slope)
+        errors = expected_errors(known.process, where, predicted, spec.colour_slope)
     allowed = _apart(where, [*(p.geometry for p in measured), *pending], spec.minimum_step)
     later = range(count, count + len(pending))
     picked = choose(

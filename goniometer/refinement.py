@@ -7,7 +7,7 @@ measurement's noise lets it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,14 @@ def candidates(parts: dict[float, list[tuple[float, float]]], shape: Shape) -> C
     return Candidates(np.concatenate(theta_in), np.concatenate(theta_out), weights / weights.sum())
 
 
-def expected_errors(process: Interpolant, where: Candidates, predicted: Prediction) -> Errors:
-    """What `predicted` at the candidates means for both errors."""
+def expected_errors(
+    process: Interpolant, where: Candidates, predicted: Prediction, colour_slope: float | None = None
+) -> Errors:
+    """What `predicted` at the candidates means for both errors.
+
+    With `colour_slope` colours are those of a scene's image, in which `where.share` says how much a direction shows:
+    it is the mean dE00 of the image for each unit of error of ln(cos f) in all directions together.
+    """
     offset = process.shape.offset
     level = np.exp(predicted.latent)
     value = np.maximum(level - offset, 0.0)
@@ -86,21 +92,13 @@ def expected_errors(process: Interpolant, where: Candidates, predicted: Predicti
     noise = np.exp((np.log(process.noise) @ near) / near.sum(axis=0))
     per_sigma = np.sqrt(np.stack([logarithmic @ spread / spread.size, square], axis=1))
     own = np.stack([logarithmic.mean(axis=1), np.einsum("pab,pab->p", slopes, slopes)], axis=1)
+    if colour_slope is not None:
+        per_sigma[:, 1], own[:, 1] = colour_slope, colour_slope**2
     floor = np.sqrt(where.share @ (own * noise[:, None] ** 2))
     degrees = np.sum(square) ** 2 / max(float(np.sum(axes**2)), 1e-300) / max(len(square), 1)
     return Errors(
         predicted.sigma * predicted.trust, noise, per_sigma, floor, _mean_of_length(float(np.clip(degrees, 1, 3)))
     )
-
-
-def seen_in_scene(errors: Errors, where: Candidates, colour_slope: float) -> Errors:
-    """The errors where colours are those of a scene's image, in which `where.share` says how much a direction shows.
-
-    `colour_slope` is the mean dE00 of the image for each unit of error of ln(cos f) in all directions together.
-    """
-    per_sigma = np.column_stack([errors.per_sigma[:, 0], np.full(where.share.size, colour_slope)])
-    floor = np.array([errors.noise_floor[0], colour_slope * float(np.sqrt(where.share @ errors.noise**2))])
-    return replace(errors, per_sigma=per_sigma, noise_floor=floor)
 
 
 def _mean_of_length(degrees: float) -> float:
