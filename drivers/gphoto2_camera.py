@@ -1,10 +1,10 @@
 """Cameras on a USB cable, through libgphoto2 (extra `photo`).
 
-The names and values of settings are libgphoto2's for the maker; `nikon_settings` gives those of a Nikon. They were
-compared with what libgphoto2 publishes of Nikon cameras, the D810 and D850 among them, and with its directory driver
-for the way that a file takes. No camera was ever connected: unchecked are whether a D810 takes each of the settings in
-this order, whether it names its files so, how long it needs, and which errors it gives when it is switched off. A lens
-without contacts has no aperture to be set.
+The names and values of settings are libgphoto2's for the maker; `nikon_settings` gives those of a Nikon, from memory:
+what libgphoto2 publishes of a D810 and a D850 lists numbers of properties and not these names. The way that a file
+takes was tried with its directory driver. No camera was ever connected: unchecked are those names, whether a D810 takes
+each of the settings in this order, whether it names its files so, how long it needs, and which errors it gives when it
+is switched off. A lens without contacts has no aperture to be set.
 """
 
 import re

@@ -57,7 +57,7 @@ def test_a_series_is_shown_as_a_table(cli: Cli, taken: tuple[Path, dict[str, Any
     [
         (("photos", "none.toml"), "none.toml: the series cannot be read"),
         (("photos", "none.toml", "--inset", "nan"), "between 0 and 1"),
-        (("simulate", "photos", "sample-6", "-o", "x"), "was polished"),
+        (("simulate", "photos", "sample-9", "-o", "x"), "no file 'sample-9'"),
         (("simulate", "photos", "gaussian:1:5", "--led", "50", "-o", "x"), "0 to 10 degrees"),
         (("simulate", "photos", "gaussian:6:5", "-o", "x"), "points wide at this pitch"),
     ],
