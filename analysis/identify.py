@@ -122,7 +122,9 @@ def _against_the_model(evidence: Evidence) -> list[str]:
 
 def _against_others(evidence: Evidence, undetermined: tuple[str, ...]) -> list[str]:
     """Parameters that have no sentence of their own."""
-    names = [name for name in undetermined if name not in {"alpha", "h", "w"}]
+    # without a shift, or with w fixed, h and w have a sentence already
+    told = {"alpha", "h", "w"} if evidence.w_fixed or (evidence.has("h") and _h_is_zero(evidence)) else {"alpha"}
+    names = [name for name in undetermined if name not in told]
     if not names or (evidence.has("h") and _h_is_zero(evidence) and set(names) <= _OF_SHIFT):
         return []
     return [f"The data do not tell {' and '.join(names)}."]

@@ -14,6 +14,7 @@ import numpy as np
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
+from analysis.local_misfit import doubts_of_metal, local_misfit
 from analysis.models import LAMBDA_N, normalised_fresnel, shift
 from analysis.propagation import variance_of_each_point
 from analysis.results import LocalFit
@@ -108,13 +109,15 @@ def local_fit(
 
     `conductor` is aluminium unless given; without `fresnel` the exponent p is held at 0, as for a dielectric whose
     reflectance knows no wavelength (section 5.6), and the conductor is not asked. The uncertainty of the slope follows
-    from all errors of the measurement by the delta method, those that wavelengths share included. A spectrum with
+    from all errors of the measurement by the delta method, those that wavelengths share included, and from what Eq. 2
+    does not describe of the spectrum (`analysis.misfit`). A spectrum with
     fewer than five valid wavelengths gets NaN. Unreliable are points that are not usable (`dataset.usable`), those
     whose median signal is below its noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
     Both engines find the same: slopes agree to 1e-7 of 1/um where the spectrum determines them.
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """
-    spectra = _spectra(dataset, (conductor or load_conductor()) if fresnel else None, lambda_n)
+    metal = (conductor or load_conductor()) if fresnel else None
+    spectra = _spectra(dataset, metal, lambda_n)
     enough = np.count_nonzero(spectra.weight, axis=1) >= LEAST_WAVELENGTHS
     if not enough.any():
         raise FitError(
@@ -137,7 +140,11 @@ def local_fit(
     fitted *= power
     gain = np.zeros(dataset.brdf.shape)
     gain[enough] = _gain_of_slope(spectra, power, normal, fresnel)
-    u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))[enough]
+    u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))
+    u_exponent = np.zeros(enough.size)
+    if fresnel:
+        gain[enough] = _gain(spectra, power, _exponent_gain(normal))
+        u_exponent = np.sqrt(variance_of_each_point(gain, dataset.sources))
 
     low, high = EXPONENT_BOUNDS
     reliable = (
@@ -145,7 +152,7 @@ def local_fit(
         & _above_noise(spectra, fitted)
         & (exponent > low)
         & (exponent < high)
-        & np.isfinite(u_slope)
+        & np.isfinite(u_slope[enough])
         & dataset.usable[enough]
     )
 
@@ -156,15 +163,23 @@ def local_fit(
 
     everywhere = np.zeros(enough.size, dtype=bool)
     everywhere[enough] = reliable
+    r2 = at_all_points(_r2(dataset.brdf[enough], spectra.weight > 0, fitted))
+    fitted = at_all_points(fitted)
+    a, m, p = (at_all_points(values) for values in (normal.scale, normal.slope, exponent))
+    misfit = local_misfit(dataset, fitted, (a, m, p), metal, lambda_n)
+    u_exponent = np.hypot(u_exponent, misfit[1])
     return LocalFit(
-        slope=at_all_points(normal.slope),
-        u_slope=at_all_points(u_slope),
-        exponent=at_all_points(exponent),
-        scale=at_all_points(normal.scale),
-        r2=at_all_points(_r2(dataset.brdf[enough], spectra.weight > 0, fitted)),
+        slope=m,
+        u_slope=np.where(enough, np.hypot(u_slope, misfit[0]), np.nan),
+        exponent=p,
+        u_exponent=np.where(enough, u_exponent, np.nan),
+        scale=a,
+        r2=r2,
         reliable=everywhere,
-        fitted=at_all_points(fitted),
+        fitted=fitted,
         lambda_n=lambda_n,
+        misfit=misfit,
+        doubts=doubts_of_metal(metal, p[everywhere], u_exponent[everywhere]),
         fresnel=fresnel,
     )
 

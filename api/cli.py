@@ -24,6 +24,7 @@ from api.cli_characterise import register as add_characterisations
 from api.cli_import import register as add_import
 from api.cli_quality import register as add_quality
 from api.cli_simulate import simulate
+from api.cli_stability import register as add_stability
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
@@ -276,6 +277,7 @@ def export(
 add_characterisations(app)
 add_import(app)
 add_quality(app)
+add_stability(app)
 app.add_typer(simulate, name="simulate")
 
 
