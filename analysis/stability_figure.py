@@ -11,6 +11,9 @@ _RIGHT = (0.16, 0.47, 0.78)
 _WRONG = (0.87, 0.56, 0.18)
 _UNKNOWN = "#80808040"
 _ROW, _COLUMN, _LEFT, _TOP = 15.0, 58.0, 250.0, 104.0
+_RIGHT_MARGIN = 30.0
+"""Points; the last name leans over it."""
+
 _DARK, _LIGHT = "#111111", "#ffffff"
 
 
@@ -37,10 +40,10 @@ def stability_map(
     that nothing said. `name` is unique in a page.
     """
     height = _TOP + _ROW * len(rows) + 8
-    width = _LEFT + _COLUMN * len(columns) + 8
+    width = _LEFT + _COLUMN * len(columns) + _RIGHT_MARGIN
     cells = []
     with style():
-        figure, axes = new_axes(width, height, left=_LEFT, right=8, bottom=8, top=_TOP)
+        figure, axes = new_axes(width, height, left=_LEFT, right=_RIGHT_MARGIN, bottom=8, top=_TOP)
         axes.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
         axes.axis("off")
         for i, column in enumerate(columns):

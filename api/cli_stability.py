@@ -204,10 +204,10 @@ def _details(found: list[Cell]) -> str:
         ]
         rows.append("<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in values) + "</tr>")
     return (
-        '<h2>All numbers</h2><div class="wide"><table><thead><tr>'
+        '<h2>All numbers</h2><details><summary>Every cell of the map</summary><div class="wide"><table><thead><tr>'
         + "".join(f"<th>{each}</th>" for each in head)
         + f"</tr></thead><tbody>{''.join(rows)}</tbody><caption>Shares in per cent. Covered: 95 % intervals under a "
         "good verdict that hold the truth. Worst: largest deviation under a good verdict, in standard errors. Bias: "
         "mean of fitted − true. Random starts: how many led downhill to where the fit ended."
-        "</caption></table></div>"
+        "</caption></table></div></details>"
     )

@@ -27,7 +27,7 @@ SPECIMENS = {
     "cook-torrance": Specimen("metal", Shift()),
     "cook-torrance-shift": Specimen("metal", COSINE),
     "two-component": Specimen("metal", TWO),
-    "dielectric-shift": Specimen("dielectric", COSINE, alpha=0.25),
+    "dielectric-shift": Specimen("dielectric", COSINE, alpha=0.4),
 }
 """By model, a surface that it describes."""
 
@@ -102,6 +102,10 @@ def _alpha(alpha: float, specimen: Specimen) -> Specimen:
 
 def _shift(w: float, specimen: Specimen) -> Specimen:
     return replace(specimen, shift=replace(specimen.shift, w=w)) if specimen.shift.h else specimen
+
+
+def _shifted(h: float, specimen: Specimen) -> Specimen:
+    return replace(specimen, shift=replace(COSINE, h=h))
 
 
 def _sharp(sharpness: float, specimen: Specimen) -> Specimen:
@@ -255,6 +259,12 @@ REGIMES = {
                 ),
             ),
             _SHIFTED,
+        ),
+        Regime(
+            "shift left out",
+            "the surface has a shift and the model none",
+            tuple(Level(f"h {h:g} 1/um", partial(_shifted, h), described_by=()) for h in (0.4, 1.6)),
+            ("cook-torrance",),
         ),
         Regime(
             "compensation",
