@@ -14,6 +14,7 @@ import numpy as np
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
+from analysis.local_lmfit import fit_each
 from analysis.local_misfit import doubts_of_metal, local_misfit
 from analysis.models import LAMBDA_N, normalised_fresnel, shift
 from analysis.propagation import variance_of_each_point
@@ -127,7 +128,9 @@ def local_fit(
     spectra = spectra.take(enough)
     by_lmfit = fresnel and engine == "lmfit"
     if by_lmfit:
-        scale, slope, exponent, settled = _by_lmfit(spectra)
+        scale, slope, exponent, settled = fit_each(
+            spectra.weight, spectra.weighted, spectra.log_fresnel, spectra.x, EXPONENT_BOUNDS
+        )
     elif fresnel:
         exponent, settled = _search_exponent(spectra)
     else:
@@ -167,12 +170,11 @@ def local_fit(
     fitted = at_all_points(fitted)
     a, m, p = (at_all_points(values) for values in (normal.scale, normal.slope, exponent))
     misfit = local_misfit(dataset, fitted, (a, m, p), metal, lambda_n)
-    u_exponent = np.hypot(u_exponent, misfit[1])
     return LocalFit(
         slope=m,
         u_slope=np.where(enough, np.hypot(u_slope, misfit[0]), np.nan),
         exponent=p,
-        u_exponent=np.where(enough, u_exponent, np.nan),
+        u_exponent=np.where(enough, np.hypot(u_exponent, misfit[1]), np.nan),
         scale=a,
         r2=r2,
         reliable=everywhere,
@@ -378,36 +380,6 @@ def _profile(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, Float
     solvable = normal.left > _LEAST_LEFT * normal.size
     step = np.where(solvable, normal.gradient / np.where(solvable, normal.left, 1.0), 0.0)
     return normal.explained, np.nan_to_num(step)
-
-
-def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """a, m, p and whether it converged, of lmfit's Levenberg-Marquardt on each spectrum from m = 0 and p = 1."""
-    import lmfit  # noqa: PLC0415  (takes most of a second)
-
-    low, high = EXPONENT_BOUNDS
-    found = np.empty((3, spectra.weight.shape[0]))
-    converged = np.zeros(spectra.weight.shape[0], dtype=bool)
-    for point, (weight, weighted, logarithm) in enumerate(
-        zip(spectra.weight, spectra.weighted, spectra.log_fresnel, strict=True)
-    ):
-        root = np.sqrt(weight)
-        target = np.divide(weighted, root, out=np.zeros_like(root), where=root > 0)
-
-        def residual(
-            p: lmfit.Parameters, target: FloatArray = target, root: FloatArray = root, log_f: FloatArray = logarithm
-        ) -> FloatArray:
-            model = p["a"].value * (1 + p["m"].value * spectra.x) * np.exp(p["p"].value * log_f)
-            return np.asarray(root * model - target)
-
-        parameters = lmfit.Parameters()
-        parameters.add("a", value=float(weighted.sum() / weight.sum()))
-        parameters.add("m", value=0.0)
-        parameters.add("p", value=1.0, min=low, max=high)
-        result = lmfit.minimize(residual, parameters, calc_covar=False, ftol=1e-15, xtol=1e-15, gtol=1e-15)
-        found[:, point] = [result.params[name].value for name in ("a", "m", "p")]
-        # MINPACK's 6 to 8 say that rounding stops any further descent, as these tolerances want it
-        converged[point] = result.ier in {1, 2, 3, 4, 6, 7, 8}
-    return found[0], found[1], found[2], converged
 
 
 def _above_noise(spectra: _Spectra, fitted: FloatArray) -> BoolArray:

@@ -76,7 +76,7 @@ def _smoothness(z: FloatArray) -> FloatArray:
 
 
 def doubts_of_metal(conductor: Conductor | None, exponent: FloatArray, u_exponent: FloatArray) -> tuple[str, ...]:
-    """What the exponents of reliable spectra, with their standard uncertainty, each [spectra], say against the metal.
+    """What the exponents of reliable spectra, with their uncertainty by all errors, [spectra], say against the metal.
 
     Light that a metal reflected once has its Fresnel colour once, so p is one, and more where it was reflected more
     often. Each spectrum has a p of its own, and grazing directions one of their own kind, so the middle one is asked.

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
 
@@ -59,7 +58,7 @@ def stability_map(
                 if cell is None:
                     continue
                 fill, ink = _colours(cell.right)
-                cells.append(Cell(i + 0.02, i + 0.98, j + 0.95, j + 0.05, fill, escape(cell.tooltip)))
+                cells.append(Cell(i + 0.02, i + 0.98, j + 0.95, j + 0.05, fill, cell.tooltip))
                 shown = "–" if math.isnan(cell.right) else f"{100 * cell.right:.0f}"
                 text = f"{shown} / {100 * cell.trusted:.0f}"
                 marked = f"✕{cell.silent}  {text}" if cell.silent else text
