@@ -93,12 +93,12 @@ def brdf_fit(
     out. Where the data do not determine w of a cosine, because h or w is within three standard errors of zero or w ran
     to its bound, w is fixed at 0, which makes the slope the constant h.
 
-    The standard errors pass all errors of the measurement through the estimator, each shared as it is shared, and are
-    multiplied by the ratio of the residuals to their combined standard uncertainty where that is above two (Birge
-    ratio); systematic errors leave residuals too, so they count in it. Where the residuals are structured, the
-    standard errors have a part more for what the model does not describe (`analysis.misfit`). r2 is that of
-    ln(1 + cos(theta_in) f). Raises `OutOfRange` for wavelengths beyond the conductor's table and `FitError` for an
-    unknown model or if fewer than five points are left.
+    The standard errors pass all errors of the measurement through the estimator, each shared as it is shared. Where the
+    residuals are structured, they have a part more for what the model does not describe (`analysis.misfit`); where not,
+    they are multiplied by the ratio of the residuals to their combined standard uncertainty if that is above two (Birge
+    ratio); systematic errors leave residuals too, so they count in it. The albedo's are multiplied in any case. r2 is
+    that of ln(1 + cos(theta_in) f). Raises `OutOfRange` for wavelengths beyond the conductor's table and `FitError` for
+    an unknown model or if fewer than five points are left.
     """
     if model not in _SHIFTS:
         raise FitError(f'There is no microfacet model "{model}"; there are {", ".join(BRDF_MODELS)}.')
@@ -179,7 +179,8 @@ def _result(
     ratio = float(np.sqrt(np.mean((residual[valid] / stated[valid]) ** 2)))
     of_residuals = structure(residual, valid, errors, data.theta_in, data.theta_out)
     # residuals beyond the uncertainty are errors of the model; the parameters then stand for less than it says
-    inflation = np.full(count, ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0)
+    birge = ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0
+    inflation = np.full(count, 1.0 if of_residuals.structured else birge)
     if found.scatter is not None:
         inflation[form.first_of_shift :] = found.scatter
     covariance = np.diag(np.full(count, math.inf))
@@ -223,7 +224,7 @@ def _result(
     slope = slope_of(form, in_plane(dataset.theta_in, dataset.theta_out), parameters)
     albedo = None
     if near.albedo is not None:
-        u_albedo = inflation[0] * albedo_uncertainty(near, data, parameters, found.free, errors)
+        u_albedo = birge * albedo_uncertainty(near, data, parameters, found.free, errors)
         albedo = Albedo(dataset.wavelengths, near.albedo, u_albedo)
     return ModelFit(
         model=model,

@@ -196,9 +196,12 @@ def _notes(evidence: Evidence) -> list[str]:
     notes = list(flag_sentences(evidence.dataset))
     notes += evidence.structure.sentences()
     if evidence.residual_ratio > LARGEST_RESIDUAL_RATIO:
+        answer = "are inflated by this factor (Birge ratio)"
+        if evidence.structure.structured:
+            answer = 'have a part for it, "model"'
         notes.append(
             f"The residuals are {evidence.residual_ratio:.3g} times the combined standard uncertainty of the "
-            "measurement, systematic errors included: the model does not describe everything. The standard errors are "
-            "inflated by this factor (Birge ratio)."
+            "measurement, systematic errors included: the model does not describe everything. The standard errors "
+            f"{answer}."
         )
     return notes

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.brdf_fit import brdf_fit
+from analysis.fits import fit_models
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.global_fit import global_fit
 from analysis.local_fit import local_fit
@@ -72,6 +73,9 @@ def test_another_metal_than_assumed_is_noticed_by_its_colour(metal: str) -> None
     assert not fit.verdict.trusted
     assert local.doubts[0] in fit.verdict.reasons
     assert local_fit(dataset, load_conductor(*metal.split("/"))).doubts == ()
+    (lobe,) = fit_models(dataset, local, ("cook-torrance",))
+    assert not lobe.verdict.trusted
+    assert local.doubts[0] in lobe.verdict.reasons
     # a spectrum of which nobody asks the colour of a metal has no doubts about it
     assert local_fit(dataset, fresnel=False).doubts == ()
 
