@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.brdf_errors import Pulled, albedo_uncertainty, parameter_covariances, residual_errors
+from analysis.brdf_errors import Pulled, albedo_uncertainty, parameter_covariances, parameter_gain, residual_errors
 from analysis.brdf_problem import from_search, linearise, log_model, problem, to_search
 from analysis.brdf_start import SCANNED_ALPHAS, find_starts
 from analysis.brdf_two_component import find_two_components
@@ -22,12 +22,14 @@ from analysis.identify import LARGEST_RESIDUAL_RATIO, Evidence, judge
 from analysis.least_squares import Engine, Minimum, minimise
 from analysis.loew import MIRROR_LOBE, LoewData, Weight, grazing_weighs_less, loew_data
 from analysis.microfacet import LARGEST_W, Form, Shift, View, aperture_for, slope_of, view
+from analysis.misfit import MISFIT, excess, moved_by
 from analysis.models import LAMBDA_N, shift_is_clamped
 from analysis.propagation import correlation, errors_by_part
 from analysis.results import Albedo, ModelFit, Parameter
 from analysis.structure import structure
 from analysis.two_component import TWO_COMPONENTS
 from drivers.arrays import BoolArray, FloatArray
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import combined
 
@@ -66,6 +68,8 @@ class _Found:
     """[free, free] by part of the budget."""
     scatter: float | None = None
     """Birge ratio of the local slopes where these determine the shift; None where the cost alone does."""
+    pulled: Pulled | None = None
+    """These slopes."""
 
 
 def form_of(model: str, conductor: Conductor | None, distribution: Distribution) -> Form:
@@ -89,11 +93,12 @@ def brdf_fit(
     out. Where the data do not determine w of a cosine, because h or w is within three standard errors of zero or w ran
     to its bound, w is fixed at 0, which makes the slope the constant h.
 
-    The standard errors pass all errors of the measurement through the estimator, each shared as it is shared, and are
-    multiplied by the ratio of the residuals to their combined standard uncertainty where that is above two (Birge
-    ratio); systematic errors leave residuals too, so they count in it. r2 is that of ln(1 + cos(theta_in) f). Raises
-    `OutOfRange` for wavelengths beyond the conductor's table and `FitError` for an unknown model or if fewer than five
-    points are left.
+    The standard errors pass all errors of the measurement through the estimator, each shared as it is shared. Where the
+    residuals are structured, they have a part more for what the model does not describe (`analysis.misfit`); where not,
+    they are multiplied by the ratio of the residuals to their combined standard uncertainty if that is above two (Birge
+    ratio); systematic errors leave residuals too, so they count in it. The albedo's are multiplied in any case. r2 is
+    that of ln(1 + cos(theta_in) f). Raises `OutOfRange` for wavelengths beyond the conductor's table and `FitError` for
+    an unknown model or if fewer than five points are left.
     """
     if model not in _SHIFTS:
         raise FitError(f'There is no microfacet model "{model}"; there are {", ".join(BRDF_MODELS)}.')
@@ -118,9 +123,8 @@ def _search_two_components(form: Form, data: LoewData, seen: View, cosine: Float
     parameters = from_search(end.parameters)
     pulled = None if pull is None else pull.linearised(form, data, parameters)
     covariances = _covariances(seen, data, parameters, parameters.size, pulled)
-    return _Found(
-        parameters, parameters.size, end, covariances, None if pull is None else pull.scatter(form, parameters)
-    )
+    scatter = None if pull is None else pull.scatter(form, parameters)
+    return _Found(parameters, parameters.size, end, covariances, scatter, pulled)
 
 
 def _search(form: Form, data: LoewData, seen: View, start: FloatArray, engine: Engine) -> _Found:
@@ -171,18 +175,32 @@ def _result(
     valid = data.valid
     around = data.log_measured[valid] - data.log_measured[valid].mean()
     r2 = float(1 - np.sum(residual[valid] ** 2) / np.sum(around**2))
-    ratio = float(np.sqrt(np.mean((residual[valid] / combined(errors, valid.shape)[valid]) ** 2)))
+    stated = combined(errors, valid.shape)
+    ratio = float(np.sqrt(np.mean((residual[valid] / stated[valid]) ** 2)))
+    of_residuals = structure(residual, valid, errors, data.theta_in, data.theta_out)
     # residuals beyond the uncertainty are errors of the model; the parameters then stand for less than it says
-    inflation = np.full(count, ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0)
+    birge = ratio if ratio > LARGEST_RESIDUAL_RATIO else 1.0
+    inflation = np.full(count, 1.0 if of_residuals.structured else birge)
     if found.scatter is not None:
         inflation[form.first_of_shift :] = found.scatter
     covariance = np.diag(np.full(count, math.inf))
     together = np.sum(list(found.covariances.values()), axis=0)
     covariance[: found.free, : found.free] = np.outer(inflation, inflation)[: found.free, : found.free] * together
+    misfit = np.zeros(count)
+    if of_residuals.structured:
+        gain, _ = parameter_gain(near, data, parameters, found.free, found.pulled)
+        misfit[: found.free] = moved_by(
+            gain,
+            np.where(valid, excess(residual, stated), 0.0),
+            incidence_groups(data.theta_in, SAME_INCIDENCE),
+        )
+        covariance += np.diag(misfit**2)
     sigma = np.sqrt(np.diag(covariance))
-    of_residuals = structure(residual, valid, errors, data.theta_in, data.theta_out)
     shares = [
-        errors_by_part(found.covariances, i, inflation[i]) if math.isfinite(sigma[i]) else {} for i in range(count)
+        errors_by_part(found.covariances, i, inflation[i]) | ({MISFIT: float(misfit[i])} if misfit[i] > 0 else {})
+        if math.isfinite(sigma[i])
+        else {}
+        for i in range(count)
     ]
     verdict = judge(
         Evidence(
@@ -206,7 +224,7 @@ def _result(
     slope = slope_of(form, in_plane(dataset.theta_in, dataset.theta_out), parameters)
     albedo = None
     if near.albedo is not None:
-        u_albedo = inflation[0] * albedo_uncertainty(near, data, parameters, found.free, errors)
+        u_albedo = birge * albedo_uncertainty(near, data, parameters, found.free, errors)
         albedo = Albedo(dataset.wavelengths, near.albedo, u_albedo)
     return ModelFit(
         model=model,

@@ -16,6 +16,7 @@ import numpy as np
 
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor
+from analysis.misfit import PARTS_OF_FITS
 from analysis.noise import flag_words
 from analysis.results import (
     Albedo,
@@ -31,7 +32,6 @@ from analysis.stored_fit import StoredFit
 from goniometer.dataset import MEANING, Dataset
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry
-from goniometer.uncertainty import PARTS
 
 FIT_SCHEMA = "goniometer-fit"
 ANALYSIS_SCHEMA = "goniometer-analysis"
@@ -39,8 +39,8 @@ SCHEMA_VERSION = 3
 
 _NOTE = (
     'null is NaN (no value), "inf" and "-inf" are infinities; standard errors and u_ are standard uncertainties '
-    f"(coverage factor 1) by {', '.join(PARTS)}; angles in degrees, theta_out signed with the mirror direction at "
-    "+theta_in, wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
+    f"(coverage factor 1) by {', '.join(PARTS_OF_FITS)}; angles in degrees, theta_out signed with the mirror direction "
+    "at +theta_in, wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
 )
 
 _LINE_BREAK = re.compile(r"\s*\n\s*")
@@ -176,9 +176,11 @@ def _local_part(local: LocalFit, dataset: Dataset, differences: ColourDifference
         "m_per_um": local.slope[seen].tolist(),
         "u_m_per_um": local.u_slope[seen].tolist(),
         "p": local.exponent[seen].tolist(),
+        "u_p": local.u_exponent[seen].tolist(),
         "a_per_sr": local.scale[seen].tolist(),
         "r2": local.r2[seen].tolist(),
         "reliable": local.reliable[seen].tolist(),
+        "doubts": list(local.doubts),
         "flags": [flag_words(int(flags)) for flags in dataset.flags[seen]],
         "dE00_absolute": differences.absolute[seen].tolist(),
         "dE00_chromatic": differences.chromatic[seen].tolist(),

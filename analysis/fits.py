@@ -51,8 +51,9 @@ def fit_models(
     """Fit `models`, names of `MODELS` but "local", to `dataset`; `local` is its local fit.
 
     Each is compared with the simpler model that it contains, which is fitted too where it is not among `models`. One
-    that is no better by the Bayesian information criterion is not trusted. `conductor`, `distribution` and `weight` as
-    in `analysis.brdf_fit`. Raises `FitError` for an unknown model and what the fits raise.
+    that is no better by the Bayesian information criterion is not trusted, and neither is a model of a metal whose
+    colour the spectra do not have (`local.doubts`). `conductor`, `distribution` and `weight` as in
+    `analysis.brdf_fit`. Raises `FitError` for an unknown model and what the fits raise.
     """
     unknown = [model for model in models if model not in MODELS or model == "local"]
     if unknown:
@@ -61,11 +62,11 @@ def fit_models(
 
     def fitted(model: str) -> ModelFit:
         if model not in found:
-            found[model] = (
-                brdf_fit(dataset, model, conductor, engine, distribution, weight)
-                if model in BRDF_MODELS
-                else global_fit(dataset, local, conductor, engine, model)
-            )
+            if model in BRDF_MODELS:
+                fit = brdf_fit(dataset, model, conductor, engine, distribution, weight)
+                found[model] = fit if fit.albedo is not None else _doubted(fit, local.doubts)
+            else:
+                found[model] = global_fit(dataset, local, conductor, engine, model)
         return found[model]
 
     return tuple(
@@ -121,6 +122,15 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset, conductor: Cond
         note = f"The simpler model {simpler.model} costs more but has the smaller colour difference ({evidence})."
         verdict = replace(verdict, reasons=(*verdict.reasons, note))
     return replace(fit, comparison=comparison, verdict=verdict)
+
+
+def _doubted(fit: ModelFit, doubts: tuple[str, ...]) -> ModelFit:
+    """`fit`, not trusted where there are doubts about all spectra."""
+    if not doubts:
+        return fit
+    verdict = fit.verdict
+    reasons = (*_against(verdict), *doubts, *_notes(verdict))
+    return replace(fit, verdict=replace(verdict, trusted=False, reasons=reasons))
 
 
 def _fall(amount: float, digits: int) -> str:

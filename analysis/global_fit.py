@@ -16,8 +16,9 @@ from analysis.fresnel import Conductor, load_conductor
 from analysis.global_verdict import SlopeEvidence, judge_slopes
 from analysis.least_squares import Engine, SumOfSquares, minimise
 from analysis.local_fit import local_gain, shifted_fresnel
+from analysis.misfit import MISFIT, excess, moved_by
 from analysis.models import cosine_slope_derivative, shift_is_clamped
-from analysis.propagation import correlation, covariance_by_part, errors_by_part, variance_of_each_point
+from analysis.propagation import correlation, covariance_by_part, errors_by_part
 from analysis.results import LocalFit, ModelFit, Parameter
 from analysis.structure import Structure, structure
 from analysis.two_component import (
@@ -27,6 +28,7 @@ from analysis.two_component import (
     two_component_slope_derivative,
 )
 from drivers.arrays import FloatArray
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
 
@@ -74,10 +76,11 @@ def global_fit(
     local uncertainties, of all errors: with the noise alone, the few brightest directions would decide, whose errors
     are anything but noise. Standard errors come from the measurement, errors that points or wavelengths share
     included; where the slopes (or exponents) scatter more than their uncertainty, by a reduced chi-square above one,
-    they are inflated by its root (Birge ratio) and the verdict says so. The verdict of a cosine rests on an F-test
-    against a constant slope. It is a model of normalised spectra: `fitted` takes its scale at lambda_n from `local`,
-    point by point; p is absent where `local` held the exponents. r2 is that of the slopes, weighted. Raises `FitError`
-    for fewer than five reliable slopes, or fewer than parameters and two more.
+    they are inflated by its root (Birge ratio) and the verdict says so. What Eq. 2 does not describe of the spectra,
+    and the model of the slopes where its residuals are structured, is a part of them, too (`analysis.misfit`). The
+    verdict of a cosine rests on an F-test against a constant slope. It is a model of normalised spectra: `fitted` takes
+    its scale at lambda_n from `local`, point by point; p is absent where `local` held the exponents. r2 is that of the
+    slopes, weighted. Raises `FitError` for fewer than five reliable slopes, or fewer than parameters and two more.
     """
     metal = (conductor or load_conductor()) if local.fresnel else None
     used = local.reliable
@@ -95,13 +98,13 @@ def global_fit(
     gain_of_slope, gain_of_exponent = local_gain(dataset, local, metal)
     columns = slope_and_derivative(model, seen, parameters)[1]
     root = np.sqrt(weight)
-    estimator = np.linalg.pinv((columns * root).T, rcond=1e-14) * root
+    estimator = np.asarray(np.linalg.pinv((columns * root).T, rcond=1e-14) * root, dtype=float)
     inflation = [np.sqrt(max(chi2 / (count - len(names)), 1.0))] * len(names)
     gain = np.zeros((len(names), *dataset.brdf.shape))
     gain[:, used] = estimator[:, :, None] * gain_of_slope[used]
     p = 0.0
     if local.fresnel:
-        u_exponent = np.sqrt(variance_of_each_point(gain_of_exponent, dataset.sources))[used]
+        u_exponent = local.u_exponent[used]
         share = u_exponent**-2 / np.sum(u_exponent**-2)
         p = float(share @ local.exponent[used])
         gain_of_p = np.zeros(dataset.brdf.shape)
@@ -111,12 +114,25 @@ def global_fit(
         chi2_p = float(np.sum(((local.exponent[used] - p) / u_exponent) ** 2))
         inflation.append(np.sqrt(max(chi2_p / (count - 1), 1.0)))
     by_part = covariance_by_part(gain, dataset.sources)
-    covariance = np.sum(list(by_part.values()), axis=0) * np.outer(inflation, inflation)
+    residual = slopes - slope_and_derivative(model, seen, parameters)[0]
+    of_residuals = _structure(dataset, local, gain_of_slope, residual)
+    misfit = moved_by(estimator, local.misfit[0, used])
+    if of_residuals.structured:
+        misfit = np.hypot(
+            misfit,
+            moved_by(
+                estimator,
+                excess(residual, local.u_slope[used]),
+                incidence_groups(dataset.theta_in[used], SAME_INCIDENCE),
+            ),
+        )
+    if local.fresnel:
+        misfit = np.append(misfit, share @ local.misfit[1, used])
+    covariance = np.sum(list(by_part.values()), axis=0) * np.outer(inflation, inflation) + np.diag(misfit**2)
     sigma = np.sqrt(np.diag(covariance))
 
     constant = float(weight @ slopes / weight.sum())
     chi2_constant = float(weight @ (slopes - constant) ** 2)
-    of_residuals = _structure(dataset, local, gain_of_slope, slopes - slope_and_derivative(model, seen, parameters)[0])
     verdict = judge_slopes(
         SlopeEvidence(
             dataset=dataset,
@@ -134,6 +150,7 @@ def global_fit(
             scatter_of_p=float(inflation[-1]) if local.fresnel else 1.0,
             other_w=_other_minima(slopes, weight, seen, float(parameters[1]), chi2) if model == "global" else (),
             structure=of_residuals,
+            doubts=local.doubts,
         )
     )
     slope = slope_and_derivative(model, directions, parameters)[0]
@@ -145,7 +162,11 @@ def global_fit(
         ),
         parameters=tuple(
             Parameter(
-                name, float(value), float(sigma[i]), _UNITS.get(name, "1"), errors_by_part(by_part, i, inflation[i])
+                name,
+                float(value),
+                float(sigma[i]),
+                _UNITS.get(name, "1"),
+                errors_by_part(by_part, i, inflation[i]) | ({MISFIT: float(misfit[i])} if misfit[i] > 0 else {}),
             )
             for i, (name, value) in enumerate(zip(names, [*parameters, p], strict=False))
         ),

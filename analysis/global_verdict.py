@@ -42,11 +42,14 @@ class SlopeEvidence:
     other_w: tuple[float, ...]
     """Of minima that are as good within the noise."""
     structure: Structure
+    doubts: tuple[str, ...]
+    """What speaks against all spectra."""
 
 
 def judge_slopes(evidence: SlopeEvidence) -> Verdict:
     """The verdict: what speaks against the fit first, then what a reader should know besides."""
     against, undetermined = ([], ()) if evidence.model == "constant-slope" else _against(evidence)
+    against = [*evidence.doubts, *against]
     return Verdict(not against, (*against, *_notes(evidence)), undetermined)
 
 

@@ -122,7 +122,9 @@ def _against_the_model(evidence: Evidence) -> list[str]:
 
 def _against_others(evidence: Evidence, undetermined: tuple[str, ...]) -> list[str]:
     """Parameters that have no sentence of their own."""
-    names = [name for name in undetermined if name not in {"alpha", "h", "w"}]
+    # without a shift, or with w fixed, h and w have a sentence already
+    told = {"alpha", "h", "w"} if evidence.w_fixed or (evidence.has("h") and _h_is_zero(evidence)) else {"alpha"}
+    names = [name for name in undetermined if name not in told]
     if not names or (evidence.has("h") and _h_is_zero(evidence) and set(names) <= _OF_SHIFT):
         return []
     return [f"The data do not tell {' and '.join(names)}."]
@@ -194,9 +196,12 @@ def _notes(evidence: Evidence) -> list[str]:
     notes = list(flag_sentences(evidence.dataset))
     notes += evidence.structure.sentences()
     if evidence.residual_ratio > LARGEST_RESIDUAL_RATIO:
+        answer = "are inflated by this factor (Birge ratio)"
+        if evidence.structure.structured:
+            answer = 'have a part for it, "model"'
         notes.append(
             f"The residuals are {evidence.residual_ratio:.3g} times the combined standard uncertainty of the "
-            "data, systematic errors included: the model does not describe everything. The standard errors are "
-            "inflated by this factor (Birge ratio)."
+            "data, systematic errors included: the model does not describe everything. The standard errors "
+            f"{answer}."
         )
     return notes

@@ -14,6 +14,8 @@ import numpy as np
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.least_squares import Engine
+from analysis.local_lmfit import fit_each
+from analysis.local_misfit import doubts_of_metal, local_misfit
 from analysis.models import LAMBDA_N, normalised_fresnel, shift
 from analysis.propagation import variance_of_each_point
 from analysis.results import LocalFit
@@ -108,13 +110,15 @@ def local_fit(
 
     `conductor` is aluminium unless given; without `fresnel` the exponent p is held at 0, as for a dielectric whose
     reflectance knows no wavelength (section 5.6), and the conductor is not asked. The uncertainty of the slope follows
-    from all errors of the measurement by the delta method, those that wavelengths share included. A spectrum with
+    from all errors of the measurement by the delta method, those that wavelengths share included, and from what Eq. 2
+    does not describe of the spectrum (`analysis.misfit`). A spectrum with
     fewer than five valid wavelengths gets NaN. Unreliable are points that are not usable (`dataset.usable`), those
     whose median signal is below its noise, and those whose exponent stopped at a bound (-5, 15) or did not settle.
     Both engines find the same: slopes agree to 1e-7 of 1/um where the spectrum determines them.
     Raises `OutOfRange` for wavelengths that the conductor does not cover, `FitError` if no spectrum is valid.
     """
-    spectra = _spectra(dataset, (conductor or load_conductor()) if fresnel else None, lambda_n)
+    metal = (conductor or load_conductor()) if fresnel else None
+    spectra = _spectra(dataset, metal, lambda_n)
     enough = np.count_nonzero(spectra.weight, axis=1) >= LEAST_WAVELENGTHS
     if not enough.any():
         raise FitError(
@@ -124,7 +128,9 @@ def local_fit(
     spectra = spectra.take(enough)
     by_lmfit = fresnel and engine == "lmfit"
     if by_lmfit:
-        scale, slope, exponent, settled = _by_lmfit(spectra)
+        scale, slope, exponent, settled = fit_each(
+            spectra.weight, spectra.weighted, spectra.log_fresnel, spectra.x, EXPONENT_BOUNDS
+        )
     elif fresnel:
         exponent, settled = _search_exponent(spectra)
     else:
@@ -137,7 +143,11 @@ def local_fit(
     fitted *= power
     gain = np.zeros(dataset.brdf.shape)
     gain[enough] = _gain_of_slope(spectra, power, normal, fresnel)
-    u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))[enough]
+    u_slope = np.sqrt(variance_of_each_point(gain, dataset.sources))
+    u_exponent = np.zeros(enough.size)
+    if fresnel:
+        gain[enough] = _gain(spectra, power, _exponent_gain(normal))
+        u_exponent = np.sqrt(variance_of_each_point(gain, dataset.sources))
 
     low, high = EXPONENT_BOUNDS
     reliable = (
@@ -145,7 +155,7 @@ def local_fit(
         & _above_noise(spectra, fitted)
         & (exponent > low)
         & (exponent < high)
-        & np.isfinite(u_slope)
+        & np.isfinite(u_slope[enough])
         & dataset.usable[enough]
     )
 
@@ -156,15 +166,22 @@ def local_fit(
 
     everywhere = np.zeros(enough.size, dtype=bool)
     everywhere[enough] = reliable
+    r2 = at_all_points(_r2(dataset.brdf[enough], spectra.weight > 0, fitted))
+    fitted = at_all_points(fitted)
+    a, m, p = (at_all_points(values) for values in (normal.scale, normal.slope, exponent))
+    misfit = local_misfit(dataset, fitted, (a, m, p), metal, lambda_n)
     return LocalFit(
-        slope=at_all_points(normal.slope),
-        u_slope=at_all_points(u_slope),
-        exponent=at_all_points(exponent),
-        scale=at_all_points(normal.scale),
-        r2=at_all_points(_r2(dataset.brdf[enough], spectra.weight > 0, fitted)),
+        slope=m,
+        u_slope=np.where(enough, np.hypot(u_slope, misfit[0]), np.nan),
+        exponent=p,
+        u_exponent=np.where(enough, np.hypot(u_exponent, misfit[1]), np.nan),
+        scale=a,
+        r2=r2,
         reliable=everywhere,
-        fitted=at_all_points(fitted),
+        fitted=fitted,
         lambda_n=lambda_n,
+        misfit=misfit,
+        doubts=doubts_of_metal(metal, p[everywhere], u_exponent[everywhere]),
         fresnel=fresnel,
     )
 
@@ -363,36 +380,6 @@ def _profile(spectra: _Spectra, exponent: FloatArray) -> tuple[FloatArray, Float
     solvable = normal.left > _LEAST_LEFT * normal.size
     step = np.where(solvable, normal.gradient / np.where(solvable, normal.left, 1.0), 0.0)
     return normal.explained, np.nan_to_num(step)
-
-
-def _by_lmfit(spectra: _Spectra) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """a, m, p and whether it converged, of lmfit's Levenberg-Marquardt on each spectrum from m = 0 and p = 1."""
-    import lmfit  # noqa: PLC0415  (takes most of a second)
-
-    low, high = EXPONENT_BOUNDS
-    found = np.empty((3, spectra.weight.shape[0]))
-    converged = np.zeros(spectra.weight.shape[0], dtype=bool)
-    for point, (weight, weighted, logarithm) in enumerate(
-        zip(spectra.weight, spectra.weighted, spectra.log_fresnel, strict=True)
-    ):
-        root = np.sqrt(weight)
-        target = np.divide(weighted, root, out=np.zeros_like(root), where=root > 0)
-
-        def residual(
-            p: lmfit.Parameters, target: FloatArray = target, root: FloatArray = root, log_f: FloatArray = logarithm
-        ) -> FloatArray:
-            model = p["a"].value * (1 + p["m"].value * spectra.x) * np.exp(p["p"].value * log_f)
-            return np.asarray(root * model - target)
-
-        parameters = lmfit.Parameters()
-        parameters.add("a", value=float(weighted.sum() / weight.sum()))
-        parameters.add("m", value=0.0)
-        parameters.add("p", value=1.0, min=low, max=high)
-        result = lmfit.minimize(residual, parameters, calc_covar=False, ftol=1e-15, xtol=1e-15, gtol=1e-15)
-        found[:, point] = [result.params[name].value for name in ("a", "m", "p")]
-        # MINPACK's 6 to 8 say that rounding stops any further descent, as these tolerances want it
-        converged[point] = result.ier in {1, 2, 3, 4, 6, 7, 8}
-    return found[0], found[1], found[2], converged
 
 
 def _above_noise(spectra: _Spectra, fitted: FloatArray) -> BoolArray:

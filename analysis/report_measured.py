@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis import figures
 from analysis.filled_figure import STEP
-from analysis.page import MODEL_NAMES, figure
+from analysis.page import MODEL_NAMES, bullets, figure
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
 from goniometer.between import FEWEST
@@ -105,6 +105,7 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
         f"spectrum on its own (local fit); m = 1 /µm means that the reflectance rises by 10 % from {local.lambda_n:g} "
         f"to {local.lambda_n + 100:g} nm. {reliable} of {local.reliable.size} spectra give a reliable slope; the fit "
         f"explains more than 90 % of the variation (r² &gt; 0.9) in {good} of these.</p>"
+        + bullets(local.doubts)
         + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2, words(dataset).done)
         + figure(
             figures.slopes(dataset, local, fit, "slopes", two),

@@ -8,11 +8,11 @@ from analysis import figures
 from analysis.albedo_figure import albedo_curves
 from analysis.brdf_fit import BRDF_MODELS
 from analysis.distributions import lobe_width
+from analysis.misfit import PARTS_OF_FITS
 from analysis.notation import roughly, uncertainty, with_uncertainty
 from analysis.page import MODEL_NAMES, figure
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
-from goniometer.uncertainty import PARTS
 
 _UNIT = {"1": "", "1/um": "/µm"}
 """How a person reads the unit of a parameter."""
@@ -197,7 +197,7 @@ def _error_table(analysis: SampleAnalysis) -> str:
     """What each part of the budget gives to the standard errors of the trusted fits."""
     fits = [fit for fit in analysis.models if fit.verdict.trusted]
     found = {part for fit in fits for parameter in fit.parameters for part in parameter.error_by_part}
-    parts = [part for part in PARTS if part in found]
+    parts = [part for part in PARTS_OF_FITS if part in found]
     if not parts:
         return ""
     rows = []

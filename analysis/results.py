@@ -23,8 +23,9 @@ class Parameter:
     unit: str
     """"1" for a pure number, else e.g. "1/um"."""
     error_by_part: dict[str, float] = field(default_factory=dict)
-    """What each part of the uncertainty budget (`goniometer.uncertainty.PARTS`) gives to `standard_error`, which is
-    the root of the sum of their squares; empty where the parameter is not determined."""
+    """What each part of the uncertainty budget, and what the model does not describe (`analysis.misfit.PARTS_OF_FITS`),
+    gives to `standard_error`, which is the root of the sum of their squares; empty where the parameter is not
+    determined."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,11 @@ class LocalFit:
     slope: FloatArray
     """m, 1/um."""
     u_slope: FloatArray
-    """Standard uncertainty of m (coverage factor 1), by all errors of the measurement, 1/um."""
+    """Standard uncertainty of m (coverage factor 1), by all errors of the measurement and by the misfit, 1/um."""
     exponent: FloatArray
     """p, a pure number."""
+    u_exponent: FloatArray
+    """Standard uncertainty of p (coverage factor 1), as that of m; zero where p was held."""
     scale: FloatArray
     """a, the BRDF at lambda_n, 1/sr."""
     r2: FloatArray
@@ -84,6 +87,11 @@ class LocalFit:
     """[points, wavelengths] the fitted spectra, 1/sr."""
     lambda_n: float
     """Normalisation wavelength, nm."""
+    misfit: FloatArray
+    """[2, points] the parts of `u_slope` and `u_exponent` that come from what Eq. 2 does not describe of a spectrum;
+    zero where noise explains what it leaves."""
+    doubts: tuple[str, ...] = ()
+    """What speaks against all spectra together, whole sentences."""
     fresnel: bool = True
     """False where the exponent was held at 0."""
 

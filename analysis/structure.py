@@ -52,6 +52,11 @@ class Structure:
     r its lag-one autocorrelation (the effective sample size of a first-order autoregressive series), and at least one
     a spectrum."""
 
+    @property
+    def structured(self) -> bool:
+        """Whether the residuals are anything but noise."""
+        return self.over_wavelength.structured or self.over_theta_out.structured
+
     def sentences(self) -> tuple[str, ...]:
         """What a reader should know: nothing where the residuals are noise."""
         found = [

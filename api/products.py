@@ -92,6 +92,7 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
             slopes = [m for m, good in zip(part["m_per_um"], part["reliable"], strict=True) if good]
             spread = f", slopes from {min(slopes):.2f} to {max(slopes):.2f} 1/µm" if slopes else ""
             lines.append(f"local: {len(slopes)} of {len(part['reliable'])} spectra are reliable{spread}")
+            lines += [f"  {doubt}" for doubt in part["doubts"]]
             continue
         values = [f"{p['name']} {_shown(p, part['verdict'])}" for p in part["parameters"]]
         difference = part["metrics"]["dE00"]

@@ -117,7 +117,7 @@ class OpticalBench:
         self._seed = seed
         self._axes = sample_axis, detector_axis
         self._wavelengths = _true_wavelengths(np.arange(PIXELS, dtype=float), imperfections)
-        self._throughput = _throughput(self._wavelengths)
+        self._throughput = throughput(self._wavelengths)
         self._dark_pattern = generator(seed, "dark current").lognormal(0, 0.3, PIXELS)
         self._offset = OFFSET + generator(seed, "offset").normal(0, 5, PIXELS)
         self._seen: tuple[Geometry, FloatArray] | None = None
@@ -298,7 +298,7 @@ def share_on_disc(theta_out: float, field_of_view: float, diameter: float) -> fl
     return 2 / math.pi * (radius**2 / (a * b) * math.asin(b * s / radius) + math.acos(s))
 
 
-def _throughput(wavelengths: FloatArray) -> FloatArray:
+def throughput(wavelengths: FloatArray) -> FloatArray:
     """[wavelengths] true counts a second for cos(theta_in) x BRDF of 1/sr.
 
     Photons of a black body (Planck's law over the photon energy) times a smooth efficiency of fibre, grating and

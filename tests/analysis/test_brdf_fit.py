@@ -38,7 +38,7 @@ def test_the_samples_of_the_bench_are_recovered_and_trusted(measure: Measure, sa
     plain = brdf_fit(dataset, "cook-torrance")
     assert plain.verdict.trusted
     assert plain.cost_value > 10 * fit.cost_value
-    assert any("standard errors are inflated" in reason for reason in plain.verdict.reasons)
+    assert any("does not describe everything" in reason for reason in plain.verdict.reasons)
 
 
 @pytest.mark.slow
@@ -62,7 +62,12 @@ def test_stated_errors_are_honest_where_points_and_wavelengths_share_their_error
         dataset = measure(*truth, seed=seed, systematic=True, incident=(10, 40, 70), wavelength_step=23.0)
         z.append(z_scores(dataset, truth))
         of_counts = tuple(source for source in dataset.sources if not source.shared_by_wavelengths)
-        forgetful.append(z_scores(replace(dataset, sources=of_counts, u_zero=0.0), truth))
+        unaware = brdf_fit(replace(dataset, sources=of_counts, u_zero=0.0))
+        # but for what it notices in its residuals
+        stated = [
+            np.hypot.reduce([u for part, u in p.error_by_part.items() if part != "model"]) for p in unaware.parameters
+        ]
+        forgetful.append([(p.value - t) / u for p, t, u in zip(unaware.parameters, truth, stated, strict=True)])
     spread = np.sqrt(np.mean(np.square(z), axis=0))
     # the root mean square of 25 z-scores lies within 0.6 and 1.4 in more than 99 % of all cases
     assert np.all((spread > 0.6) & (spread < 1.4)), spread
@@ -86,9 +91,10 @@ def test_errors_of_the_zeros_are_as_large_as_stated_though_all_points_share_them
 
 def test_the_parts_of_a_standard_error_make_up_the_whole(measure: Measure) -> None:
     dataset = measure(*SAMPLES[4], systematic=True, wavelength_step=23.0)
-    for fit in (brdf_fit(dataset, "cook-torrance"), brdf_fit(dataset)):
+    # without a shift the model leaves the colours, and says so
+    for fit, beyond in ((brdf_fit(dataset, "cook-torrance"), {"model"}), (brdf_fit(dataset), set())):
         for parameter in fit.parameters:
-            assert set(parameter.error_by_part) == {
+            assert set(parameter.error_by_part) == beyond | {
                 "random", "dark", "reference", "non-linearity", "angle", "wavelength", "drift", "stray light",
             }  # fmt: skip
             whole = np.sqrt(np.sum(np.square(list(parameter.error_by_part.values()))))

@@ -172,6 +172,7 @@ def test_the_whole_analysis_is_strict_json_and_holds_every_point_once(rough_anal
     local = document["local"]
     assert local["theta_out_deg"] == rough_analysis.dataset.theta_out.tolist()
     assert local["m_per_um"] == rough_analysis.local.slope.tolist()
+    assert local.pop("doubts") == []
     assert {len(v) for v in local.values() if isinstance(v, list)} == {rough_analysis.dataset.theta_in.size}
 
 
