@@ -97,12 +97,7 @@ def _some_wavelengths(data: LoewData) -> LoewData:
     some = slice(step // 2, None, step)
     return replace(
         data,
-        dataset=replace(
-            data.dataset,
-            wavelengths=data.dataset.wavelengths[some],
-            brdf=data.dataset.brdf[:, some],
-            sources=tuple(replace(s, values=s.values[:, some]) for s in data.dataset.sources),
-        ),
+        dataset=data.dataset.at_wavelengths(some),
         log_measured=data.log_measured[:, some],
         root_weight=data.root_weight[:, some],
         log_derivative=data.log_derivative[:, some],

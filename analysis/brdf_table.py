@@ -8,7 +8,7 @@ scene asks of it there is said to be not measurable (`analysis.asked`).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky
@@ -151,12 +151,7 @@ def _visible(dataset: Dataset) -> Dataset:
     # every third of a fine grid: reflectances are smooth, and light and observer are not thinned
     stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
     bands = np.union1d(bands[::stride], bands[-1:])
-    return replace(
-        dataset,
-        wavelengths=dataset.wavelengths[bands],
-        brdf=dataset.brdf[:, bands],
-        sources=tuple(replace(source, values=source.values[:, bands]) for source in dataset.sources),
-    )
+    return dataset.at_wavelengths(bands)
 
 
 def _draws(read: Between, seed: int) -> FloatArray:

@@ -4,7 +4,7 @@ Figure numbers are those of Clausen et al. 2022. Every function takes a `name` t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -295,9 +295,7 @@ def _between(dataset: Dataset, wavelength: float) -> dict[float, tuple[FloatArra
 def _at_wavelengths(dataset: Dataset, wavelength: float) -> Dataset:
     """The few wavelengths of a dataset around one, nm."""
     middle = int(np.argmin(np.abs(dataset.wavelengths - wavelength)))
-    some = slice(max(middle - 2, 0), middle + 3)
-    sources = tuple(replace(source, values=source.values[:, some]) for source in dataset.sources)
-    return replace(dataset, wavelengths=dataset.wavelengths[some], brdf=dataset.brdf[:, some], sources=sources)
+    return dataset.at_wavelengths(slice(max(middle - 2, 0), middle + 3))
 
 
 def spectra(

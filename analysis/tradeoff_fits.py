@@ -61,7 +61,7 @@ def fit_charts(
     colours are compared with the measurement. Raises `FitError` and `OutOfRange` as the fits do.
     """
     chosen = _spread(datasets[0].wavelengths.size, MOST)
-    whole = [_at(dataset, chosen) for dataset in datasets]
+    whole = [dataset.at_wavelengths(chosen) for dataset in datasets]
     if known is not None:
         known = replace(known, brdf=known.brdf[:, chosen])
     counts = [count for count in COUNTS if count < chosen.size]
@@ -79,7 +79,7 @@ def _model_charts(
             f"{count} λ",
             f"scans for the start, then own derivatives, {count} wavelengths",
             "fast engine",
-            _by_turns(_fast, [_at(each, _spread(all_of_them, count)) for each in draws], conductor),
+            _by_turns(_fast, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor),
         )
         for count in [*counts, all_of_them]
     ]
@@ -89,7 +89,9 @@ def _model_charts(
             f"scans for the start, then lmfit with {'our' if analytic else 'its numeric'} derivatives, "
             f"{count} wavelengths",
             "lmfit",
-            _by_turns(_by_lmfit, [_at(each, _spread(all_of_them, count)) for each in draws], conductor, analytic),
+            _by_turns(
+                _by_lmfit, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor, analytic
+            ),
         )
         for count in (41, all_of_them)
         for analytic in (False, True)
@@ -161,7 +163,7 @@ def _local_chart(
             f"{count} λ",
             f"all spectra at once, {count} wavelengths",
             "all at once",
-            _by_turns(local_fit, [_at(each, _spread(all_of_them, count)) for each in draws], conductor),
+            _by_turns(local_fit, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor),
         )
         for count in [*counts, all_of_them]
     ]
@@ -172,7 +174,7 @@ def _local_chart(
             "lmfit, one by one",
             _by_turns(
                 local_fit,
-                [rows_of(_at(each, _spread(all_of_them, count)), rows) for each in draws],
+                [each.at_wavelengths(_spread(all_of_them, count)).at_points(rows) for each in draws],
                 conductor,
                 LAMBDA_N,
                 "lmfit",
@@ -208,31 +210,6 @@ def _local_chart(
 def _spread(count: int, most: int) -> IndexArray:
     """Indexes of at most `most` of `count` wavelengths, spread evenly and with both ends."""
     return np.unique(np.round(np.linspace(0, count - 1, min(most, count))).astype(int))
-
-
-def _at(dataset: Dataset, chosen: IndexArray) -> Dataset:
-    """`dataset` at some of its wavelengths."""
-    return replace(
-        dataset,
-        wavelengths=dataset.wavelengths[chosen],
-        brdf=dataset.brdf[:, chosen],
-        sources=tuple(replace(source, values=source.values[:, chosen]) for source in dataset.sources),
-    )
-
-
-def rows_of(dataset: Dataset, chosen: IndexArray) -> Dataset:
-    """`dataset` at some of its points."""
-    return replace(
-        dataset,
-        theta_in=dataset.theta_in[chosen],
-        theta_out=dataset.theta_out[chosen],
-        brdf=dataset.brdf[chosen],
-        flags=dataset.flags[chosen],
-        sources=tuple(
-            replace(s, values=s.values[chosen], groups=None if s.groups is None else s.groups[chosen])
-            for s in dataset.sources
-        ),
-    )
 
 
 def _by_turns(fit: Callable[..., Any], draws: Sequence[Dataset], *how: object) -> Callable[[int], Any]:

@@ -15,7 +15,7 @@ from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, ladder, roughness
 from analysis.scene import Camera, Light, Scene, Shape
 from analysis.scene_rays import trace
 from analysis.tradeoff import Axis, Candidate, Chart, Choice, race
-from analysis.tradeoff_fits import Tell, rows_of
+from analysis.tradeoff_fits import Tell
 from analysis.vertices import Vertices, display_for, image
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -43,7 +43,7 @@ def model_charts(dataset: Dataset, metal: Conductor, dielectric: bool, rounds: i
     points. Raises `FitError`, `OutOfRange` and `CalibrationError` as fits and tables do.
     """
     order = np.lexsort((dataset.theta_out, dataset.theta_in))
-    seen, held_out = rows_of(dataset, np.sort(order[::2])), rows_of(dataset, np.sort(order[1::2]))
+    seen, held_out = dataset.at_points(np.sort(order[::2])), dataset.at_points(np.sort(order[1::2]))
     names = DIELECTRIC_FITS if dielectric else METAL_FITS
     tell("models: fits and tables")
     fits = fit_models(seen, local_fit_for(seen, names, metal), names, metal)
@@ -66,7 +66,7 @@ def _evaluation_charts(
         Candidate(rung.name, _words(rung), _family(rung), _evaluating(rung, few, at), share=_EVALUATED * 1e-9)
         for rung in rungs
     ]
-    usable = rows_of(held_out, np.flatnonzero(held_out.usable))
+    usable = held_out.at_points(np.flatnonzero(held_out.usable))
     errors = [_colour_error(usable, rung) for rung in rungs]
     sizes = [_BYTES * rung.parameters(NODES.size) for rung in rungs]
     timed = race(candidates, rounds, tell)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from functools import cached_property
 
@@ -114,6 +114,26 @@ class Dataset:
         """[points] which points a fit may use: those without a flag of `LEFT_OUT`."""
         return ~self.flagged(LEFT_OUT)
 
+    def at_points(self, chosen: NDArray[np.intp]) -> "Dataset":
+        """The same at some of its points, by their indexes."""
+        return replace(
+            self,
+            theta_in=self.theta_in[chosen],
+            theta_out=self.theta_out[chosen],
+            brdf=self.brdf[chosen],
+            sources=tuple(_of_points(source, chosen) for source in self.sources),
+            flags=self.flags[chosen],
+        )
+
+    def at_wavelengths(self, chosen: NDArray[np.intp] | slice) -> "Dataset":
+        """The same at some of its wavelengths, by their indexes."""
+        return replace(
+            self,
+            wavelengths=self.wavelengths[chosen],
+            brdf=self.brdf[:, chosen],
+            sources=tuple(replace(source, values=source.values[:, chosen]) for source in self.sources),
+        )
+
     @property
     def content_hash(self) -> str:
         """SHA-256 of the sample's name and all numbers, so that a fit can say what exactly it was fitted to."""
@@ -133,3 +153,9 @@ class Dataset:
             for each in dataclasses.fields(source):
                 add(f"{source.name}: {each.name}", getattr(source, each.name))
         return digest.hexdigest()
+
+
+def _of_points(source: ErrorSource, chosen: NDArray[np.intp]) -> ErrorSource:
+    """A source of error at some of its points; the groups that are left count from 0 again."""
+    groups = None if source.groups is None else np.unique(source.groups[chosen], return_inverse=True)[1]
+    return replace(source, values=source.values[chosen], groups=groups)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from goniometer.dataset import Dataset
 from simulators.measurement import Setup, measure
@@ -153,30 +152,13 @@ def _disc(diameter: float, known: bool, setup: Setup) -> Setup:
     return replace(setup, diameter_mm=diameter, diameter_known=known)
 
 
-def _kept(dataset: Dataset, points: NDArray[np.intp]) -> Dataset:
-    """The dataset of some of its points."""
-    groups = [
-        None if s.groups is None else np.unique(s.groups[points], return_inverse=True)[1] for s in dataset.sources
-    ]
-    return replace(
-        dataset,
-        theta_in=dataset.theta_in[points],
-        theta_out=dataset.theta_out[points],
-        brdf=dataset.brdf[points],
-        flags=dataset.flags[points],
-        sources=tuple(
-            replace(s, values=s.values[points], groups=g) for s, g in zip(dataset.sources, groups, strict=True)
-        ),
-    )
-
-
 def _few(count: int, dataset: Dataset, random: np.random.Generator) -> Dataset:
-    return _kept(dataset, np.sort(random.permutation(dataset.theta_in.size)[:count].astype(np.intp)))
+    return dataset.at_points(np.sort(random.permutation(dataset.theta_in.size)[:count].astype(np.intp)))
 
 
 def _without_retro(half: float, dataset: Dataset, random: np.random.Generator) -> Dataset:
     """Nothing within `half` degrees of the lamp."""
-    return _kept(dataset, np.flatnonzero(np.abs(dataset.theta_in + dataset.theta_out) >= half))
+    return dataset.at_points(np.flatnonzero(np.abs(dataset.theta_in + dataset.theta_out) >= half))
 
 
 def _outliers(share: float, dataset: Dataset, random: np.random.Generator) -> Dataset:
