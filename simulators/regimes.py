@@ -236,7 +236,7 @@ REGIMES = {
             (
                 *(Level(f"w {w:g}", partial(_shift, w)) for w in (6.0, 9.0, 11.5)),
                 *(
-                    Level(f"sharpness {sharp:g}", partial(_sharp, sharp), lost=SHIFT, described_by=_TWO)
+                    Level(f"sharpness {sharp:g}", partial(_sharp, sharp), lost=SHIFT | {"p"}, described_by=_TWO)
                     for sharp in (10.0, 50.0)
                 ),
             ),
@@ -252,7 +252,7 @@ REGIMES = {
             "compensation",
             "forward and back shift cancel, as on Spectralon sanded with grit 1000",
             tuple(
-                Level(name, partial(_compensated, kappa), lost=SHIFT, described_by=_TWO)
+                Level(name, partial(_compensated, kappa), lost=SHIFT | {"p"}, described_by=_TWO)
                 for name, kappa in (
                     ("half", 0.5),
                     ("at normal incidence (grit 1000)", 1.0),
