@@ -126,8 +126,8 @@ def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 
 def folded(theta_h: FloatArray, theta_d: FloatArray) -> tuple[FloatArray, FloatArray]:
     """theta_in and theta_out, degrees, of the direction in the plane with these angles; the nearest where none has.
 
-    >>> folded(np.array([10.0, 40.0]), np.array([30.0, 70.0]))
-    (array([40., 85.]), array([20.,  5.]))
+    >>> [angles.tolist() for angles in folded(np.array([10.0, 40.0]), np.array([30.0, 70.0]))]
+    [[40.0, 85.0], [20.0, 5.0]]
     """
     h = np.minimum(theta_h, LARGEST_ANGLE)
     d = np.minimum(theta_d, LARGEST_ANGLE - h)

@@ -12,7 +12,7 @@ from analysis.fit_json import strict_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
 from api.derive import write_text
-from api.simulations import write_page
+from api.simulations import Page, write_page
 
 
 def register(app: typer.Typer) -> None:
@@ -31,7 +31,7 @@ def choose_command(
     rendering: Annotated[
         bool, typer.Option("--render/--no-render", help="Verify the answer by rendering, where Mitsuba is installed.")
     ] = True,
-    page: Annotated[Path | None, typer.Option("--output", "-o", help="HTML page with the pictures to write.")] = None,
+    page: Page = None,
     weights: Annotated[
         Path | None, typer.Option(help="File to write for a campaign's resolution.scene: what the scene asks for.")
     ] = None,

@@ -21,7 +21,7 @@ def test_a_scene_gets_its_model_a_page_and_a_campaign_of_its_own(cli: Any, small
     (tmp_path / "sun.yaml").write_text(SUN)
     page, weights = tmp_path / "page.html", tmp_path / "weights.json"
     wanted = ("--scene", tmp_path / "sun.yaml", "--no-render", "--tolerance", 2, "--json")
-    done = cli("choose", "Sample 1", *wanted, "--output", page, "--weights", weights, cwd=folder)
+    done = cli("choose", "Sample 1", *wanted, "--page", page, "--weights", weights, cwd=folder)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     models = [rung["model"] for rung in found["rungs"]]

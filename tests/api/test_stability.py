@@ -7,7 +7,7 @@ from typing import Any
 
 def test_the_map_is_printed_as_json_and_drawn_on_a_page(cli: Any, tmp_path: Path) -> None:
     asked = ["stability", "--regime", "few points", "--method", "local", "--method", "global", "--runs", 1]
-    done = cli(*asked, "--workers", 1, "--json", "--output", "map.html", cwd=tmp_path)
+    done = cli(*asked, "--workers", 1, "--json", "--page", "map.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["silent_failures"] == []
