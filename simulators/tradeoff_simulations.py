@@ -25,8 +25,8 @@ from simulators.waves import averaged, averaged_brdf, patch_brdf, scattering_vec
 
 THETA_IN = 40.0
 """Incident angle of all simulations of a chart, degrees."""
-RAYS = (3_000, 10_000, 30_000, 100_000, 300_000)
-REFERENCE_RAYS = 3_000_000
+RAYS = (1_000, 3_000, 10_000, 30_000, 100_000)
+REFERENCE_RAYS = 1_000_000
 APERTURE = 4.0
 """Full angle of the virtual detector and of the coherence window, degrees: wide, so that a chart takes a minute."""
 PRECISIONS = (1e-2, 1e-4, 1e-6, PRECISION)
