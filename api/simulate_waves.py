@@ -88,7 +88,7 @@ def waves_command(
 ) -> None:
     """Simulate the BRDF of a surface by diffraction, store it as a dataset and say how far it is converged.
 
-    Directions within 5 degrees of the way back to the lamp are left out, as an instrument leaves them out.
+    The way back to the lamp, which a detector blocks on a bench, is among the directions.
     """
     if multiple_shift is not None and not with_multiple:
         raise InputError("A shift of light that is reflected more than once needs that light: give --with-multiple.")

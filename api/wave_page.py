@@ -78,8 +78,7 @@ def _opening(setup: Setup, found: WaveSimulation) -> str:
     return (
         "<p>Diffraction on the heights of a surface, averaged over all places that the detector can see, with one "
         "reflection of every wave. θ out counts positive on the far side, so θ out = θ in is the mirror direction and "
-        "θ out = −θ in leads back to the lamp; directions within 5° of that way are left out, as an instrument leaves "
-        "them out.</p>\n"
+        "θ out = −θ in leads back to the lamp, where no instrument could look and this one does.</p>\n"
         + ("" if found.sampling.sufficient else warn)
         + '<dl class="facts">'
         + "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in tiles)
