@@ -77,7 +77,7 @@ def test_a_flat_surface_is_drawn_too() -> None:
         slope_distribution(np.zeros((50, 2)), "d"),
         autocorrelation_figure(correlation, 1.0, float("nan"), 0.2, "e"),
     ):
-        ElementTree.fromstring(svg)
+        assert ElementTree.fromstring(svg).tag == "{http://www.w3.org/2000/svg}svg"
 
 
 def test_distributions_name_the_rms_of_what_they_show() -> None:

@@ -579,7 +579,7 @@ def test_unplugging_is_noticed_and_the_device_works_after_reopening(bench: Bench
 def test_nothing_is_left_running_when_the_device_is_closed_in_any_state(bench: Bench) -> None:
     async def scenario() -> None:
         spectrometer = bench.spectrometer
-        before = threading.active_count()
+        before = set(threading.enumerate())
         await spectrometer.close()
         await spectrometer.open()
         bench.simulator.unplug()
@@ -596,7 +596,7 @@ def test_nothing_is_left_running_when_the_device_is_closed_in_any_state(bench: B
         await asyncio.gather(opening, return_exceptions=True)
         await spectrometer.close()
         for _ in range(100):
-            if threading.active_count() <= before:
+            if set(threading.enumerate()) <= before:
                 return
             await asyncio.sleep(0.01)
         raise AssertionError("a thread is left")
