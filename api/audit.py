@@ -1,7 +1,7 @@
 """The log of who did what: rows that are only ever added, each sealed with the hash of the one before it.
 
 The hash of a row is the SHA-256 of the canonical JSON of all its other columns: keys in alphabetical order, no spaces,
-UTF-8; `about` is the text that the row holds. So nobody can change, remove or insert a row without every later hash
+in ASCII; `about` is the text that the row holds. So nobody can change, remove or insert a row without every later hash
 being wrong; only rows at the end can be cut off unnoticed, and not from who has noted the last hash before.
 """
 
@@ -9,12 +9,14 @@ import getpass
 import hashlib
 import json
 import logging
+import math
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from sqlalchemy import Row, insert, select, text
+from sqlalchemy import Connection, Row, insert, select, text
 
 from analysis.errors import AnalysisError
 from drivers.errors import DriverError
@@ -28,7 +30,6 @@ Via = Literal["session", "token", "cli", "service", "nobody"]
 FIRST = "0" * 64
 """What the first row has for the hash of the one before it."""
 _SECRET = ("password", "token", "secret")
-_LONGEST = 4096
 log = logging.getLogger(__name__)
 
 
@@ -67,13 +68,12 @@ def record(database: Database, who: str, action: str, about: Mapping[str, Any], 
     with database.alone() as connection:
         last = connection.execute(select(table).order_by(table.c.sequence.desc()).limit(1)).first()
         sequence, previous = (1, FIRST) if last is None else (last.sequence + 1, last.hash)
-        row = {"sequence": sequence, "time": now(), "who": who, "via": via, "action": action, "about": told}
-        row["previous"] = previous
-        row["hash"] = sealed(row)
-        connection.execute(insert(table).values(**row))
+        unsealed = Entry(sequence, now(), who, via, action, told, previous, "")
+        entry = replace(unsealed, hash=sealed(asdict(unsealed)))
+        connection.execute(insert(table).values(**asdict(entry)))
     # The journal of the machine thus keeps the hashes where who can write the database may be unable to.
-    log.info("Log row %s has the hash %s", sequence, row["hash"])
-    return Entry(**row)
+    log.info("Log row %s has the hash %s", sequence, entry.hash)
+    return entry
 
 
 def sealed(row: Mapping[str, Any]) -> str:
@@ -106,3 +106,65 @@ def verify(database: Database, known_head: str | None = None) -> Verdict:
     if fault is None and not met:
         fault = f"No row has the hash {known_head}, which was the last one once: rows were cut off or rewritten"
     return Verdict(rows, previous, fault)
+
+
+def _fault(row: Row[Any], number: int, previous: str) -> str | None:
+    if row.sequence != number:
+        return f"Row {number} of the log is missing"
+    if row.previous != previous:
+        return f"Row {number} of the log does not follow the row before it: one of them was replaced"
+    if row.hash != sealed(asdict(_entry(row))):
+        return f"Row {number} of the log was changed after it was written"
+    return None
+
+
+def _cut(connection: Connection, rows: int) -> str | None:
+    """SQLite remembers the highest number there ever was, for who cuts off rows and does not know that."""
+    if connection.dialect.name != "sqlite":
+        return None
+    ever = connection.execute(text("SELECT seq FROM sqlite_sequence WHERE name = :name"), {"name": table.name}).scalar()
+    return f"Rows {rows + 1} to {ever} of the log were cut off" if (ever or 0) > rows else None
+
+
+def without_secrets(value: Any) -> Any:
+    """The same as JSON can hold it, with "***" for the values of keys that name a secret."""
+    if isinstance(value, Mapping):
+        return {
+            key: "***" if any(part in str(key).lower() for part in _SECRET) else without_secrets(each)
+            for key, each in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [without_secrets(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # JSON has no such number
+    return value
+
+
+def _canonical(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
+
+
+def _entry(row: Row[Any]) -> Entry:
+    return Entry(**row._mapping)
+
+
+@contextmanager
+def at_terminal(database: Database, action: str, **about: Any) -> Iterator[None]:
+    """Log what the command line does in the block, and how it ended."""
+    outcome = "interrupted"
+    try:
+        yield
+        outcome = "done"
+    except (GoniometerError, AnalysisError, DriverError) as error:
+        outcome = str(error)
+        raise
+    finally:
+        record(database, _account(), action, {**about, "outcome": outcome}, "cli")
+
+
+def _account() -> str:
+    """Name of the machine's account that this process runs in."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # in a container the account may have a number only
+        return str(os.getuid())
