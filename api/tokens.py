@@ -7,23 +7,26 @@ the person that began it.
 
 import hashlib
 import hmac
+import logging
 import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
-from sqlalchemy import Row, delete, select, update
+from sqlalchemy import Row, Update, delete, select, update
 
-from api.accounts import Role, at_least, lower, user
+from api.accounts import Role, add_user, all_users, at_least, lower, user
 from goniometer.database import Database, insert_row
-from goniometer.errors import InputError, NotInStore
+from goniometer.errors import InputError, NotInStore, StoreError
 from goniometer.records import now
 from goniometer.service_tables import sessions, tokens, users
 
 PREFIX = "gonio_"
 """Begins every token, so that one can be recognised where it should not be."""
+FIRST_USER = "local"
 IDLE = timedelta(hours=12)
 OLD = timedelta(days=7)
+log = logging.getLogger(__name__)
 _NOTED = timedelta(minutes=1)
 """How exactly the last use of a token or session is known; noting every use would write for every reading."""
 
@@ -86,6 +89,14 @@ def create_token(
     return text, token(database, made)
 
 
+def first_token(database: Database) -> str | None:
+    """Where nobody may use the service yet: a token of a new admin who is called "local"; else None."""
+    if all_users(database):
+        return None
+    add_user(database, FIRST_USER, "admin", None)
+    return create_token(database, FIRST_USER, "made at the first start")[0]
+
+
 def token(database: Database, token_id: int) -> Token:
     """One token; raises `NotInStore`."""
     return _to_token(database.row(select(tokens).where(tokens.c.id == token_id), f"token {token_id}"))
@@ -112,8 +123,7 @@ def token_caller(database: Database, text: str) -> Caller | None:
         return None
     row = found[0]
     if row.used is None or _is_past(row.used, _NOTED):
-        with database.writing() as connection:
-            connection.execute(update(tokens).where(tokens.c.id == row.id).values(used=now()))
+        _note_use(database, update(tokens).where(tokens.c.id == row.id))
     return Caller(row.user, lower(row.role, row.owner_role), "token", row.id)
 
 
@@ -148,8 +158,7 @@ def session_caller(database: Database, secret: str) -> Caller | None:
     if _is_past(row.used, IDLE) or _is_past(row.created, OLD) or _is_past(row.expires):
         return None
     if _is_past(row.used, _NOTED):
-        with database.writing() as connection:
-            connection.execute(update(sessions).where(sessions.c.hash == row.hash).values(used=now()))
+        _note_use(database, update(sessions).where(sessions.c.hash == row.hash))
     return Caller(row.user, lower(row.role, row.token_role or row.role), "session", row.token_id)
 
 
@@ -162,6 +171,14 @@ def end_session(database: Database, secret: str) -> None:
 def csrf_token(secret: str) -> str:
     """What a page must send in X-CSRF-Token with the session `secret`; another site's page cannot know it."""
     return hmac.new(secret.encode(), b"goniometer csrf", hashlib.sha256).hexdigest()
+
+
+def _note_use(database: Database, which: Update) -> None:
+    try:
+        with database.writing() as connection:
+            connection.execute(which.values(used=now()))
+    except StoreError:  # who wants to stop the bench must be let in when the disk is full, too
+        log.exception("The last use of a token or session is not noted")
 
 
 def _digest(secret: str) -> str:
