@@ -127,12 +127,18 @@ def token_caller(database: Database, text: str) -> Caller | None:
     return Caller(row.user, lower(row.role, row.owner_role), "token", row.id)
 
 
-def begin_session(database: Database, name: str, token_id: int | None = None) -> str:
-    """The secret of a new session of somebody who has shown their password, or this token of theirs."""
+def begin_session(database: Database, name: str, token_id: int | None = None, instead_of: str | None = None) -> str:
+    """The secret of a new session of somebody who has shown their password, or this token of theirs.
+
+    It takes the place of the one that their browser had before.
+    """
     secret = secrets.token_urlsafe(32)
     oldest, stale = (_text_of(datetime.now(UTC) - age) for age in (OLD, IDLE))
     with database.writing() as connection:
-        connection.execute(delete(sessions).where((sessions.c.created < oldest) | (sessions.c.used < stale)))
+        over = (
+            (sessions.c.created < oldest) | (sessions.c.used < stale) | (sessions.c.hash == _digest(instead_of or ""))
+        )
+        connection.execute(delete(sessions).where(over))
         row = {"hash": _digest(secret), "user": name, "token_id": token_id, "created": now(), "used": now()}
         connection.execute(sessions.insert().values(**row))
     return secret
