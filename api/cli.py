@@ -20,6 +20,7 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_import import register as add_import
@@ -287,6 +288,7 @@ def export(
     _tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path), as_json=as_json)
 
 
+add_access(app)
 add_characterisations(app)
 add_choose(app)
 add_import(app)
