@@ -8,11 +8,21 @@ from typing import Any
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, instrument, operation
+from api.web import campaigns, events, instrument, operation, queue, scans
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
-ROUTERS = (operation.router, events.router, instrument.router)
+LARGEST_BODY = 1_000_000
+"""Octets of a request; endpoints that take files allow more."""
+
+ROUTERS = (
+    operation.router,
+    events.router,
+    instrument.router,
+    campaigns.router,
+    queue.router,
+    scans.router,
+)
 
 
 def make_app(live: Live) -> FastAPI:
@@ -35,6 +45,7 @@ def make_app(live: Live) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
+        max_body_size=LARGEST_BODY,
     )
     app.state.live = live
     install(app)
