@@ -150,6 +150,16 @@ def start_entry(database: Database, entry_id: int) -> Entry:
         return _one(connection, entry_id)
 
 
+def unqueue(database: Database, entry_id: int) -> Entry:
+    """Let an entry that is queued wait for somebody to start it again. Raises `NotInStore` and `Conflict`."""
+    with database.alone() as connection:
+        wanted = _one(connection, entry_id)
+        if wanted.phase != "queued":
+            raise Conflict(f'Entry {entry_id}, "{wanted.name}", is {wanted.phase}, so there is nothing to abort')
+        connection.execute(update(table).where(table.c.id == entry_id).values(phase="idle", reason="It was aborted."))
+        return _one(connection, entry_id)
+
+
 def next_entry(database: Database) -> Entry | None:
     """The first entry whose turn it is, which is running now; None where there is none."""
     moment = now()

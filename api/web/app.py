@@ -9,11 +9,14 @@ from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, instrument, log, login, operation, tokens, users
+from api.web import campaigns, events, instrument, log, login, operation, queue, scans, tokens, users
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
+
+LARGEST_BODY = 4 << 20
+"""Octets of a request; endpoints that take files allow more."""
 
 ROUTERS = (
     operation.router,
@@ -23,6 +26,9 @@ ROUTERS = (
     users.router,
     tokens.router,
     log.router,
+    campaigns.router,
+    queue.router,
+    scans.router,
 )
 
 
@@ -46,6 +52,7 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
+        max_body_size=LARGEST_BODY,
     )
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
