@@ -20,6 +20,7 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_import import register as add_import
@@ -33,6 +34,7 @@ from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import Export, slug, write_text
 from api.display import called, duration, progress_display, span
+from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import Format, HowToFit, export_dataset, fit_dataset, fit_lines, report_dataset
@@ -79,7 +81,7 @@ def demo(
     _fail_for(result.failures)
 
 
-@app.command(name="run")
+@app.command(name="run", cls=Logged)
 def run_command(
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
@@ -240,10 +242,10 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
 
 
 for _verb in ("pause", "resume", "abort"):
-    app.command(name=_verb)(_command(_verb))
+    app.command(name=_verb, cls=Logged)(_command(_verb))
 
 
-@app.command()
+@app.command(cls=Logged)
 def fit(
     dataset: DatasetName,
     model: Annotated[
@@ -274,7 +276,7 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
-@app.command()
+@app.command(cls=Logged)
 def export(
     dataset: DatasetName,
     to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3.")],
@@ -287,6 +289,7 @@ def export(
     _tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path), as_json=as_json)
 
 
+add_access(app)
 add_characterisations(app)
 add_choose(app)
 add_import(app)
@@ -298,7 +301,7 @@ add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 
-@app.command()
+@app.command(cls=Logged)
 def report(
     dataset: DatasetName,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,

@@ -7,23 +7,26 @@ the person that began it.
 
 import hashlib
 import hmac
+import logging
 import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
-from sqlalchemy import Row, delete, select, update
+from sqlalchemy import Row, Update, delete, select, update
 
-from api.accounts import Role, at_least, lower, user
+from api.accounts import Role, add_user, all_users, at_least, lower, user
 from goniometer.database import Database, insert_row
-from goniometer.errors import InputError, NotInStore
+from goniometer.errors import InputError, NotInStore, StoreError
 from goniometer.records import now
 from goniometer.service_tables import sessions, tokens, users
 
 PREFIX = "gonio_"
 """Begins every token, so that one can be recognised where it should not be."""
+FIRST_USER = "local"
 IDLE = timedelta(hours=12)
 OLD = timedelta(days=7)
+log = logging.getLogger(__name__)
 _NOTED = timedelta(minutes=1)
 """How exactly the last use of a token or session is known; noting every use would write for every reading."""
 
@@ -86,9 +89,27 @@ def create_token(
     return text, token(database, made)
 
 
+def ensure_first_user(database: Database) -> bool:
+    """Where nobody may use the service yet, let in an admin called "local", whom only tokens let in; whether it did."""
+    if all_users(database):
+        return False
+    add_user(database, FIRST_USER, "admin", None)
+    return True
+
+
+def first_token(database: Database) -> str | None:
+    """Where nobody may use the service yet: a token of a new admin; else None."""
+    if not ensure_first_user(database):
+        return None
+    return create_token(database, FIRST_USER, "made at the first start")[0]
+
+
 def token(database: Database, token_id: int) -> Token:
     """One token; raises `NotInStore`."""
-    return _to_token(database.row(select(tokens).where(tokens.c.id == token_id), f"token {token_id}"))
+    found = database.rows(select(tokens).where(tokens.c.id == token_id))
+    if not found:
+        raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+    return _to_token(found[0])
 
 
 def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
@@ -99,9 +120,9 @@ def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
 
 def revoke_token(database: Database, token_id: int) -> None:
     """Make a token worthless and end the sessions that began with it; raises `NotInStore`."""
+    token(database, token_id)
     with database.writing() as connection:
-        if connection.execute(delete(tokens).where(tokens.c.id == token_id)).rowcount == 0:
-            raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+        connection.execute(delete(tokens).where(tokens.c.id == token_id))
 
 
 def token_caller(database: Database, text: str) -> Caller | None:
@@ -112,17 +133,22 @@ def token_caller(database: Database, text: str) -> Caller | None:
         return None
     row = found[0]
     if row.used is None or _is_past(row.used, _NOTED):
-        with database.writing() as connection:
-            connection.execute(update(tokens).where(tokens.c.id == row.id).values(used=now()))
+        _note_use(database, update(tokens).where(tokens.c.id == row.id))
     return Caller(row.user, lower(row.role, row.owner_role), "token", row.id)
 
 
-def begin_session(database: Database, name: str, token_id: int | None = None) -> str:
-    """The secret of a new session of somebody who has shown their password, or this token of theirs."""
+def begin_session(database: Database, name: str, token_id: int | None = None, instead_of: str | None = None) -> str:
+    """The secret of a new session of somebody who has shown their password, or this token of theirs.
+
+    It takes the place of the one that their browser had before.
+    """
     secret = secrets.token_urlsafe(32)
     oldest, stale = (_text_of(datetime.now(UTC) - age) for age in (OLD, IDLE))
     with database.writing() as connection:
-        connection.execute(delete(sessions).where((sessions.c.created < oldest) | (sessions.c.used < stale)))
+        over = (
+            (sessions.c.created < oldest) | (sessions.c.used < stale) | (sessions.c.hash == _digest(instead_of or ""))
+        )
+        connection.execute(delete(sessions).where(over))
         row = {"hash": _digest(secret), "user": name, "token_id": token_id, "created": now(), "used": now()}
         connection.execute(sessions.insert().values(**row))
     return secret
@@ -148,8 +174,7 @@ def session_caller(database: Database, secret: str) -> Caller | None:
     if _is_past(row.used, IDLE) or _is_past(row.created, OLD) or _is_past(row.expires):
         return None
     if _is_past(row.used, _NOTED):
-        with database.writing() as connection:
-            connection.execute(update(sessions).where(sessions.c.hash == row.hash).values(used=now()))
+        _note_use(database, update(sessions).where(sessions.c.hash == row.hash))
     return Caller(row.user, lower(row.role, row.token_role or row.role), "session", row.token_id)
 
 
@@ -162,6 +187,14 @@ def end_session(database: Database, secret: str) -> None:
 def csrf_token(secret: str) -> str:
     """What a page must send in X-CSRF-Token with the session `secret`; another site's page cannot know it."""
     return hmac.new(secret.encode(), b"goniometer csrf", hashlib.sha256).hexdigest()
+
+
+def _note_use(database: Database, which: Update) -> None:
+    try:
+        with database.writing() as connection:
+            connection.execute(which.values(used=now()))
+    except StoreError:  # who wants to stop the bench must be let in when the disk is full, too
+        log.exception("The last use of a token or session is not noted")
 
 
 def _digest(secret: str) -> str:
