@@ -9,7 +9,7 @@ import time
 from collections import deque
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -19,8 +19,9 @@ import goniometer.errors
 from api.errors import Conflict
 from api.events import Events
 from api.lease import pass_on_stop
+from api.runner import Task
 from api.state import Answer, BenchState, Call, Message, Snapshot, Told
-from api.worker import Task, main
+from api.worker import main
 from drivers.errors import DriverError
 from goniometer.database import Database
 from goniometer.errors import GoniometerError
@@ -121,7 +122,8 @@ class Link:
         context = multiprocessing.get_context("spawn")
         while not self._closing:
             here, there = context.Pipe()
-            process = context.Process(target=main, args=(there, self._task), name="goniometer bench")
+            task = replace(self._task, since=now())
+            process = context.Process(target=main, args=(there, task), name="goniometer bench")
             process.start()
             there.close()
             with self._lock:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from api.events import Events
 from api.link import Link
+from api.runner import Task
 from api.settings import InstrumentSettings
-from api.worker import Task
 from goniometer.store import Store
 
 

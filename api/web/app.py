@@ -9,7 +9,7 @@ from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import campaigns, events, instrument, log, login, operation, queue, scans, tokens, users
+from api.web import campaigns, events, instrument, log, login, metrics, operation, pages, queue, scans, tokens, users
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
@@ -20,6 +20,7 @@ LARGEST_BODY = 4 << 20
 
 ROUTERS = (
     operation.router,
+    metrics.router,
     events.router,
     instrument.router,
     login.router,
@@ -29,6 +30,7 @@ ROUTERS = (
     campaigns.router,
     queue.router,
     scans.router,
+    pages.router,  # the last, because it answers to every path
 )
 
 
@@ -57,7 +59,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
     install(app)
+    app.state.metrics = metrics.Metrics(live)
+    # the last is the first to see a request
     app.add_middleware(Gate, store=live.store, access=access)
+    app.add_middleware(pages.Careful)
+    app.add_middleware(metrics.Counted, metrics=app.state.metrics)
     for router in ROUTERS:
         app.include_router(router)
     return app
