@@ -158,9 +158,8 @@ def _colour_error(dataset: Dataset, rung: Rung) -> float:
 
 def _words(rung: Rung) -> str:
     shape = f"directions by {', '.join(rung.shape)}" if rung.shape else "no parameter of direction"
-    return f"{rung.name}: {shape}" + (
-        f", {rung.per_wavelength} numbers for each wavelength" * bool(rung.per_wavelength)
-    )
+    numbers = "1 number" if rung.per_wavelength == 1 else f"{rung.per_wavelength} numbers"
+    return shape + f", {numbers} for each wavelength" * bool(rung.per_wavelength)
 
 
 def _family(rung: Rung) -> str:

@@ -95,7 +95,7 @@ def _ways(rung: Rung, alpha: float) -> list[_Way]:
     model = rung.model
     if isinstance(model, Lambert):
         plugin = Plugin("diffuse", _spectrum("reflectance", NODES, np.interp(NODES, model.wavelengths, model.albedo)))
-        return [*tables, _Way(rung.name, "Mitsuba's diffuse, spectral", "formula", plugin)]
+        return [*tables, _Way(rung.name, "Mitsuba's diffuse, spectral", "Mitsuba's formula", plugin)]
     if isinstance(model, Microfacet) and model.form.conductor is not None and model.form.shift == "none":
         metal = model.form.conductor
         lobe = (
@@ -107,13 +107,13 @@ def _ways(rung: Rung, alpha: float) -> list[_Way]:
             _Way(
                 rung.name,
                 "Mitsuba's roughconductor, spectral",
-                "formula",
+                "Mitsuba's formula",
                 Plugin("roughconductor", lobe + _index(metal)),
             ),
             _Way(
                 rung.name,
                 "Mitsuba's roughconductor, RGB",
-                "formula, RGB",
+                "Mitsuba's formula, RGB",
                 Plugin("roughconductor", lobe + _index_of_primaries(metal), "scalar_rgb"),
             ),
         ]
