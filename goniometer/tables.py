@@ -31,7 +31,7 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 metadata = MetaData()
 
@@ -130,13 +130,24 @@ datasets = Table(
     Column("id", Integer, primary_key=True),
     Column("scan_id", ForeignKey("scans.id")),
     Column("sample", String, nullable=False),
-    Column("arrays", LargeBinary, nullable=False),
-    Column("checks", Text, nullable=False),
-    Column("certificate", Text),
-    Column("lineage", Text, nullable=False),
+    Column("kind", String, nullable=False),
+    Column("points", Integer, nullable=False),
+    Column("incident_angles", Integer, nullable=False),
+    Column("shortest", Float, nullable=False),
+    Column("longest", Float, nullable=False),
+    Column("flags", Integer, nullable=False),
+    Column("flagged", Integer, nullable=False),
+    Column("checks_failed", Integer, nullable=False),
+    Column("recalibrated_from", Integer),
     Column("content_hash", String, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
+    Column("certificate", Text),
+    Column("checks", Text, nullable=False),
+    Column("lineage", Text, nullable=False),
+    # last, for SQLite reads a row from its front, and a list of datasets needs none of their numbers
+    Column("arrays", LargeBinary, nullable=False),
+    CheckConstraint("kind IN ('measured', 'simulated', 'imported')"),
 )
 
 fits = Table(
