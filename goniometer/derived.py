@@ -11,7 +11,8 @@ from pathlib import Path
 from sqlalchemy import select
 
 from goniometer import tables
-from goniometer.database import Database, insert_row
+from goniometer.catalogue import Catalogue, facts_of
+from goniometer.database import insert_row
 from goniometer.dataset import Dataset
 from goniometer.records import Characterisation, StoredText, now, pack_dataset, to_dataset
 
@@ -21,7 +22,7 @@ def software_version() -> str:
     return version("goniometer")
 
 
-class Derived(Database):
+class Derived(Catalogue):
     """The part of an open database that holds what was derived; `goniometer.store.Store` is the whole."""
 
     def add_dataset(self, scan_id: int | None, dataset: Dataset, certificate: str | None = None) -> int:
@@ -34,12 +35,11 @@ class Derived(Database):
                 connection,
                 tables.datasets,
                 scan_id=scan_id,
-                sample=dataset.sample,
-                arrays=pack_dataset(dataset),
+                **facts_of(dataset),
                 checks=json.dumps([asdict(check) for check in dataset.checks]),
                 certificate=certificate,
                 lineage=json.dumps(dataset.lineage, sort_keys=True),
-                content_hash=dataset.content_hash,
+                arrays=pack_dataset(dataset),
                 software_version=software_version(),
                 created=now(),
             )
