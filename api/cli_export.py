@@ -9,13 +9,14 @@ from rich.console import Console
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.derive import Export
 from api.exports import FORMATS, Options, export_dataset
+from api.logged import Logged
 
 _ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
 
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="export")(export)
+    app.command(name="export", cls=Logged)(export)
 
 
 def export(

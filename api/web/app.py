@@ -5,16 +5,31 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, operation
+from api.web import campaigns, events, instrument, log, login, operation, queue, scans, tokens, users
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
-ROUTERS = (operation.router, events.router)
+LARGEST_BODY = 4 << 20
+"""Octets of a request; endpoints that take files allow more."""
+
+ROUTERS = (
+    operation.router,
+    events.router,
+    instrument.router,
+    login.router,
+    users.router,
+    tokens.router,
+    log.router,
+    campaigns.router,
+    queue.router,
+    scans.router,
+)
 
 
 def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
@@ -23,7 +38,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         live.events.attach(asyncio.get_running_loop())
-        yield
+        live.worker.start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(live.worker.close)
 
     app = _Application(
         title="goniometer",
@@ -33,8 +52,10 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
+        max_body_size=LARGEST_BODY,
     )
-    app.state.live = live
+    app.state.live, app.state.access = live, access
+    app.state.logins = CapacityLimiter(2)
     install(app)
     app.add_middleware(Gate, store=live.store, access=access)
     for router in ROUTERS:
