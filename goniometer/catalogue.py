@@ -115,6 +115,12 @@ class Catalogue(Database):
             query = query.where(here.id < after if newest else here.id > after)
         return [_entry(row) for row in self._all(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
 
+    def recalibrations(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets that were made anew from this one, oldest first."""
+        here = tables.datasets.c
+        query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
+        return [row.id for row in self._all(query)]
+
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
         alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))

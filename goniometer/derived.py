@@ -8,7 +8,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 
 from goniometer import tables
 from goniometer.catalogue import Catalogue, facts_of
@@ -91,6 +91,11 @@ class Derived(Catalogue):
         """All fits of a dataset, oldest first."""
         query = select(tables.fits).where(tables.fits.c.dataset_id == dataset_id).order_by(tables.fits.c.id)
         return [StoredText(row.id, row.dataset_id, row.model, row.json) for row in self._all(query)]
+
+    def newest_fit(self, dataset_id: int) -> int:
+        """Id of the newest fit of a dataset; 0 where it has none."""
+        query = select(func.max(tables.fits.c.id).label("id")).where(tables.fits.c.dataset_id == dataset_id)
+        return int(self._all(query)[0].id or 0)
 
     def add_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> int:
         """Note that a file was written from a dataset; returns the export's id."""
