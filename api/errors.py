@@ -6,7 +6,9 @@ GoniometerError
     ├── Unauthorised    nobody knows who asks
     ├── NotAllowed      who asks may not do this
     ├── Outdated        it was changed since it was read
-    └── TooLarge        more was sent than is read
+    ├── TooLarge        more was sent than is read
+    ├── Misdirected     whoever asks calls the service by a name that it does not have
+    └── TooManyFailures logins failed, so that the next must wait
 
 Every message is one sentence that says what is wrong, where, and what would be right.
 """
@@ -36,3 +38,15 @@ class Outdated(ServiceError):
 
 class TooLarge(ServiceError):
     """More was sent than is read."""
+
+
+class Misdirected(ServiceError):
+    """Whoever asks calls the service by a name that it does not have."""
+
+
+class TooManyFailures(ServiceError):
+    """Logins failed so often that the next must wait for `seconds`."""
+
+    def __init__(self, message: str, seconds: float) -> None:
+        super().__init__(message)
+        self.seconds = seconds

@@ -92,7 +92,7 @@ class Catalogue(Database):
 
     def entry(self, dataset_id: int) -> Entry:
         """One dataset; raises `NotInStore`."""
-        return _entry(self._one(_entries().where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}"))
+        return _entry(self.row(_entries().where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}"))
 
     def entries(self, wanted: Wanted, limit: int, after: int | None = None, order: Order = "newest") -> list[Entry]:
         """At most `limit` datasets that are `wanted`, from the one behind the dataset `after` on."""
@@ -113,19 +113,19 @@ class Catalogue(Database):
         newest = order == "newest"
         if after is not None:
             query = query.where(here.id < after if newest else here.id > after)
-        return [_entry(row) for row in self._all(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+        return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
 
     def recalibrations(self, dataset_id: int) -> list[int]:
         """Ids of the datasets that were made anew from this one, oldest first."""
         here = tables.datasets.c
         query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
-        return [row.id for row in self._all(query)]
+        return [row.id for row in self.rows(query)]
 
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
         alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))
         measured = select(tables.scans.c.sample).where(tables.scans.c.kind == "sample")
-        return sorted({row.sample for query in (alone, measured) for row in self._all(query)})
+        return sorted({row.sample for query in (alone, measured) for row in self.rows(query)})
 
 
 def _entries() -> Select[Any]:

@@ -9,14 +9,16 @@ from fastapi import FastAPI
 
 from api.live import Live
 from api.web import events, operation
+from api.web.access import LOCAL, Access
+from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
 ROUTERS = (operation.router, events.router)
 
 
-def make_app(live: Live) -> FastAPI:
-    """The application through which `live` is used."""
+def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
+    """The application through which `live` is used, reached as `access` says."""
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -34,6 +36,7 @@ def make_app(live: Live) -> FastAPI:
     )
     app.state.live = live
     install(app)
+    app.add_middleware(Gate, store=live.store, access=access)
     for router in ROUTERS:
         app.include_router(router)
     return app

@@ -1,6 +1,7 @@
 """Errors become RFC 9457 problems: `application/problem+json` with one sentence for the person who asked."""
 
 import logging
+import math
 import re
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -13,7 +14,7 @@ from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
 from analysis.errors import AnalysisError
-from api.errors import Conflict, NotAllowed, Outdated, TooLarge, Unauthorised
+from api.errors import Conflict, Misdirected, NotAllowed, Outdated, TooLarge, TooManyFailures, Unauthorised
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, InputError, NotInStore, StoreBusy, StoreFull
 from goniometer.wording import key_path
@@ -30,6 +31,8 @@ STATUS: dict[type[Exception], HTTPStatus] = {
     NotAllowed: HTTPStatus.FORBIDDEN,
     Outdated: HTTPStatus.PRECONDITION_FAILED,
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    Misdirected: HTTPStatus.MISDIRECTED_REQUEST,
+    TooManyFailures: HTTPStatus.TOO_MANY_REQUESTS,
     InputError: HTTPStatus.UNPROCESSABLE_ENTITY,
     StoreFull: HTTPStatus.INSUFFICIENT_STORAGE,
     # what was asked for was right, and what is there does not allow it
@@ -49,7 +52,9 @@ TOLD = {
     412: "It was changed since it was read.",
     413: "More was sent than is read.",
     415: "What was sent has a form that is not read.",
+    421: "This service does not have the name by which it was called.",
     422: "What was sent cannot be right.",
+    429: "Logins failed so often that the next must wait.",
     502: "A device of the bench does not do what it should.",
     507: "There is no room left on the disk.",
 }
@@ -117,10 +122,17 @@ def _name(error: Exception) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(error).__name__).lower()
 
 
-async def _known(_: Request, error: Exception) -> JSONResponse:
+def told(error: Exception) -> JSONResponse:
+    """The response that tells of an error of our floors."""
     status = status_of(error)
-    headers = {"WWW-Authenticate": "Bearer"} if status is HTTPStatus.UNAUTHORIZED else None
+    headers = {"WWW-Authenticate": "Bearer"} if status is HTTPStatus.UNAUTHORIZED else {}
+    if isinstance(error, TooManyFailures):
+        headers["Retry-After"] = str(math.ceil(error.seconds))
     return problem(status, str(error), _name(error), headers=headers)
+
+
+async def _known(_: Request, error: Exception) -> JSONResponse:
+    return told(error)
 
 
 async def _invalid(_: Request, error: Exception) -> JSONResponse:
@@ -130,9 +142,9 @@ async def _invalid(_: Request, error: Exception) -> JSONResponse:
         message = str(fault["msg"]).removeprefix("Value error, ").replace("Input should", "it must")
         # the first part says whether it was the body, the path, ...: of no use to who reads a key
         faults.append(Fault(where=key_path(fault["loc"][1:]), message=message))
-    told = f"{faults[0].where}: {faults[0].message}" if faults[0].where else faults[0].message
+    first = f"{faults[0].where}: {faults[0].message}" if faults[0].where else faults[0].message
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, told + more, "input-error", faults)
+    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, first + more, "input-error", faults)
 
 
 async def _refused(_: Request, error: Exception) -> JSONResponse:
@@ -144,5 +156,5 @@ async def _refused(_: Request, error: Exception) -> JSONResponse:
 
 async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
     log.error("%s %s", request.method, request.url.path, exc_info=error)
-    told = "The service has met a fault of its own; its log says which."
-    return problem(HTTPStatus.INTERNAL_SERVER_ERROR, told, "internal")
+    detail = "The service has met a fault of its own; its log says which."
+    return problem(HTTPStatus.INTERNAL_SERVER_ERROR, detail, "internal")
