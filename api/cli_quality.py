@@ -20,6 +20,7 @@ from api.quality import (
     write_budget,
 )
 from goniometer.certificate import Override
+from goniometer.dataset import kind_of
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -131,8 +132,11 @@ def calibrate(
 
 def _no_raw_data(store: Store, dataset_id: int) -> str:
     """Why a dataset of no scan cannot be calibrated."""
-    if "simulated" in store.lineage(dataset_id):
+    kind = kind_of(store.lineage(dataset_id))
+    if kind == "simulated":
         return f"Dataset {dataset_id} was simulated and has no raw data; simulate it again instead."
+    if kind == "measured":
+        return f"Dataset {dataset_id} came from a file, and its raw data are in another database; calibrate it there."
     return f"Dataset {dataset_id} was imported and has no raw data; import its file again instead."
 
 
