@@ -6,7 +6,7 @@ from dataclasses import replace
 from goniometer.calibration import calibrate_scan
 from goniometer.certificate import Override
 from goniometer.certificate_file import parse_certificate
-from goniometer.dataset import Dataset
+from goniometer.dataset import Dataset, Kind, kind_of
 from goniometer.errors import InputError, NotInStore
 from goniometer.exposure import below_wanted
 from goniometer.lineage import own_datasets
@@ -92,6 +92,13 @@ def too_noisy(store: Store, scan: Scan) -> str:
     return below_wanted(store.points(scan.id), store.campaign(scan.campaign_id).integration.signal_to_noise)
 
 
+_WITHOUT_RAW_DATA: dict[Kind, str] = {
+    "simulated": "was simulated and has no raw data; simulate it again instead.",
+    "measured": "came from a file, and its raw data are in another database; calibrate it there.",
+    "imported": "was imported and has no raw data; import its file again instead.",
+}
+
+
 def recalibrate(
     store: Store, dataset_id: int, certificate: str | None, settings: Settings, override: Override | None
 ) -> int:
@@ -101,9 +108,7 @@ def recalibrate(
     """
     scan_id = store.datasets()[dataset_id]
     if scan_id is None:
-        done = "simulated" if "simulated" in store.lineage(dataset_id) else "imported"
-        anew = "simulate it again" if done == "simulated" else "import its file again"
-        raise InputError(f"Dataset {dataset_id} was {done} and has no raw data; {anew} instead.")
+        raise InputError(f"Dataset {dataset_id} {_WITHOUT_RAW_DATA[kind_of(store.lineage(dataset_id))]}")
     return make_dataset(
         store, scan_id, made_from=dataset_id, certificate=certificate, settings=settings, override=override
     )

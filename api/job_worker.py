@@ -1,7 +1,6 @@
 """The other side of a job: what happens in its own process."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,7 +16,8 @@ from goniometer.store import Store
 _NICE = 10
 """The bench goes before."""
 
-_tell: Callable[[float | None, str], None] = lambda share, words: None
+_told: list[Connection] = []
+"""The way to tell, once there is one: this process has one job."""
 
 
 @dataclass(frozen=True)
@@ -34,24 +34,25 @@ class Ended:
 
 def begin_worker(told: Connection) -> None:
     """Prepare this process for a job: the first thing that is `told` is the number of its group."""
-    global _tell  # noqa: PLW0603  (this process has one job, and its way to tell comes with its start)
     end_with_parent()
     os.setsid()
     os.nice(_NICE)
     told.send(os.getpid())
-
-    def tell(share: float | None, words: str) -> None:
-        told.send((share, words))
-
-    _tell = tell
+    _told.append(told)
 
 
-def work(database: str, folder: str, kind: str, arguments: str) -> Ended:
-    """Do a job on a database; `folder` is its own to write into, and `arguments` are those of its kind as JSON."""
+def _tell(share: float | None, words: str) -> None:
+    for connection in _told:
+        connection.send((share, words))
+
+
+def work(database: str, output: str, job_id: int, kind: str, arguments: str) -> Ended:
+    """Do a job on a database; `output` is the folder of all results, and `arguments` are those of its kind as JSON."""
     wanted = KINDS[kind]
     store = Store.open(database if "://" in database else Path(database))
+    here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell)
     try:
-        made = wanted.run(Work(store, Path(folder), _tell), wanted.arguments.model_validate_json(arguments))
+        made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
     except (GoniometerError, AnalysisError, DriverError) as error:
         return Ended(fault=str(error))
     except OSError as error:

@@ -39,11 +39,11 @@ _TOLD = 0.5
 class Jobs:
     """The jobs that this process answers for; `close` ends it."""
 
-    def __init__(self, store: Store, database: Path | str, folder: Path, events: Events, slots: int = SLOTS) -> None:
-        """`database` is where `store` is, and `folder` where jobs may write."""
+    def __init__(self, store: Store, database: Path | str, output: Path, events: Events, slots: int = SLOTS) -> None:
+        """`database` is where `store` is, and `output` the folder of all results."""
         self._store = store
         self._database = str(database)
-        self._folder = folder
+        self._output = output
         self._events = events
         self._me = job_rows.runner()
         self._groups: dict[int, int] = {}
@@ -111,7 +111,7 @@ class Jobs:
                 if not job_rows.begin(self._store, job_id):
                     return  # cancelled while it waited
                 self._groups[job_id] = 0
-                future = executor.submit(work, self._database, str(self._folder / str(job_id)), kind, arguments)
+                future = executor.submit(work, self._database, str(self._output), job_id, kind, arguments)
             self._publish(job_id)
             self._follow(job_id, future, heard)
         with self._lock:

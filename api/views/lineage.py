@@ -43,6 +43,8 @@ def lineage(store: Store, opened: Opened) -> Lineage:
         sources.append(LineageNode(kind="simulation", title=str(told.pop("simulated")), about=_words(told)))
     elif entry.scan_id is not None:
         sources = _measured(store, entry.scan_id, told)
+    else:
+        sources.append(LineageNode(kind="file", title="a file of this program; its raw data are in another database"))
     if entry.recalibrated_from is not None:
         before = entry.recalibrated_from
         sources.append(LineageNode(kind="dataset", title=f"dataset {before}, made anew", href=_dataset(before)))

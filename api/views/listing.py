@@ -8,8 +8,8 @@ from pydantic import Field
 from api.views.body import Body, Number
 from api.views.opened import Opened
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.catalogue import DatasetKind, Entry
-from goniometer.dataset import MEANING, Flag
+from goniometer.catalogue import Entry
+from goniometer.dataset import MEANING, Flag, Kind
 
 FLAG_NAMES = {str(flag.name).lower().replace("_", "-"): flag for flag in Flag}
 """Every flag by the name that answers and questions use, e.g. "beyond-reference"."""
@@ -20,7 +20,7 @@ class DatasetRow(Body):
 
     id: int
     sample: str = Field(description="Name of the sample, with the number of the repeat where there are several.")
-    kind: DatasetKind
+    kind: Kind
     campaign_id: int | None = Field(description="Null where no campaign of this database measured it.")
     campaign: str | None
     scan_id: int | None
