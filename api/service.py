@@ -201,22 +201,30 @@ async def open_bench(
     async with open_instrument(settings, seed, families, imperfections) as (instrument, laboratory):
         if lamp_is_warm:
             instrument.trust_lamp()
-        lying: tuple[str, str] | None = None  # None where nobody knows
+        yield instrument, mounting(ask, laboratory, asks=laboratory is None)
 
-        async def mount(scan: Scan) -> None:
-            nonlocal lying
-            wanted = scan.kind, scan.sample
-            if wanted != lying:
-                lying = None
-                if laboratory is None:
-                    await ask(scan)
-                else:
-                    laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
-                lying = wanted
+
+def mounting(ask: Mount, laboratory: Laboratory | None, *, asks: bool = True) -> Mount:
+    """How the sample of a scan gets onto an open bench, unless it lies there already.
+
+    A person is asked if `asks`; in a laboratory it is laid there.
+    """
+    lying: tuple[str, str] | None = None  # None where nobody knows
+
+    async def mount(scan: Scan) -> None:
+        nonlocal lying
+        wanted = scan.kind, scan.sample
+        if wanted != lying:
+            lying = None
+            if asks:
+                await ask(scan)
             if laboratory is not None:
-                laboratory.bench.begin(scan.repeat or 1)
+                laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
+            lying = wanted
+        if laboratory is not None:
+            laboratory.bench.begin(scan.repeat or 1)
 
-        yield instrument, mount
+    return mount
 
 
 async def diagnose(
@@ -257,14 +265,44 @@ async def run(
     own while the next sample is measured; a sample that cannot be calibrated or fitted does not stop the others.
     Raises `StoreBusy` and what `run_campaign` raises.
     """
+    with store.exclusive():
+        return await run_alone(store, campaign, output, settings, watch, bench=bench, lamp_is_warm=lamp_is_warm)
+
+
+@contextmanager
+def _fitting_process() -> Iterator[Executor]:
+    """A process for fits. What it has not finished when something goes wrong is lost, and made in the next run."""
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
+    try:
+        yield executor
+    except BaseException:
+        # nobody would take the result, and a bench that was stopped must not wait for it
+        for process in list((executor._processes or {}).values()):
+            process.kill()
+        raise
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+async def run_alone(
+    store: Store,
+    campaign: Campaign,
+    output: Path,
+    settings: InstrumentSettings | None = None,
+    watch: Watch = QUIET,
+    *,
+    bench: OpenBench | None = None,
+    lamp_is_warm: bool = False,
+) -> RunResult:
+    """As `run`, for who holds `store.exclusive()`."""
     certificate = panel_certificate(campaign, settings)
     _check_certificate(store, campaign, certificate)
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
         campaign = _with_materials(campaign)
-    context = multiprocessing.get_context("spawn")
-    with store.exclusive(), ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as executor:
+    with _fitting_process() as executor:
         waiting: dict[int, Future[Derived]] = {}
         failures: list[str] = []
 

@@ -1,7 +1,10 @@
-"""The tables of the service: who may use it, who did what, what is worked at, and certificates that were handed in.
+"""The tables of the service: who may use it, who did what, who drives the bench, what it shall measure, and what is
+worked at.
 
 users 1-n tokens 1-n sessions; a session that began with a password belongs to no token. Secrets are kept as hashes
-only. The log names people in words, so that it outlives them.
+only. The log names people in words, so that it outlives them. The lease has one row; an entry of the queue holds its
+campaign as it was ordered, and the id of the one that was begun from it. A job
+names what it was asked for; certificates are those that somebody handed in.
 """
 
 from sqlalchemy import Boolean, CheckConstraint, Column, Float, ForeignKey, Index, Integer, String, Table, Text
@@ -106,4 +109,42 @@ certificates = Table(
     Column("who", String, nullable=False),
     Column("created", String, nullable=False),
     info=ONLY_ADDED,
+)
+
+lease = Table(
+    "lease",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("term", Integer, nullable=False),
+    Column("beat", Integer, nullable=False),
+    Column("holder", String),  # null where nobody drives
+    Column("host", String, nullable=False),
+    Column("process", Integer, nullable=False),
+    Column("url", String, nullable=False),
+    Column("taken", String, nullable=False),
+    Column("stop", Boolean, nullable=False, default=False),
+    CheckConstraint("id = 1"),
+)
+
+queue = Table(
+    "queue",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("position", Integer, nullable=False),
+    Column("name", String, nullable=False),
+    Column("json", Text, nullable=False),
+    Column("campaign_id", ForeignKey("campaigns.id", ondelete="SET NULL")),
+    Column("phase", String, nullable=False),
+    Column("outcome", String),
+    Column("reason", Text, nullable=False, default=""),
+    Column("who", String, nullable=False),
+    Column("start_after", String),
+    Column("created", String, nullable=False),
+    Column("started", String),
+    Column("finished", String),
+    CheckConstraint("phase IN ('idle', 'queued', 'running', 'finished')"),
+    CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
+    CheckConstraint("(phase = 'finished') = (outcome IS NOT NULL)"),
+    Index("queue_of_phase", "phase"),
+    sqlite_autoincrement=True,  # the log names entries by their number
 )

@@ -8,13 +8,13 @@ from typing import Any
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, operation
+from api.web import events, instrument, operation
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
-ROUTERS = (operation.router, events.router)
+ROUTERS = (operation.router, events.router, instrument.router)
 
 
 def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
@@ -23,7 +23,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         live.events.attach(asyncio.get_running_loop())
-        yield
+        live.worker.start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(live.worker.close)
 
     app = _Application(
         title="goniometer",
