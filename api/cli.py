@@ -20,6 +20,7 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_export import register as add_export
@@ -284,6 +285,7 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
+add_access(app)
 add_characterisations(app)
 add_choose(app)
 add_export(app)

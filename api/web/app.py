@@ -5,16 +5,25 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, instrument, operation
+from api.web import events, instrument, log, login, operation, tokens, users
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
-ROUTERS = (operation.router, events.router, instrument.router)
+ROUTERS = (
+    operation.router,
+    events.router,
+    instrument.router,
+    login.router,
+    users.router,
+    tokens.router,
+    log.router,
+)
 
 
 def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
@@ -38,7 +47,8 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         redoc_url=None,
         openapi_url="/api/openapi.json",
     )
-    app.state.live = live
+    app.state.live, app.state.access = live, access
+    app.state.logins = CapacityLimiter(2)
     install(app)
     app.add_middleware(Gate, store=live.store, access=access)
     for router in ROUTERS:
