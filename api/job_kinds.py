@@ -8,6 +8,7 @@ from typing import Any
 from analysis.choose_report import choice_body
 from analysis.page import titled_page
 from analysis.tradeoff import charts_json
+from api.accounts import Role
 from api.certificates import known_certificate
 from api.choose import choice_content, choose_model, mitsuba_is_there
 from api.datasets import recalibrate
@@ -73,6 +74,8 @@ class Kind:
     """For a person, e.g. "Fit a dataset"."""
     arguments: type[Arguments]
     run: Callable[[Work, Any], Made]
+    role: Role = "operator"
+    """Whoever asks for it needs this role or a higher one."""
 
 
 def _fit(work: Work, asked: FitArguments) -> Made:
@@ -186,7 +189,7 @@ KINDS: dict[str, Kind] = {
     "export": Kind("Write a dataset for others", ExportArguments, _export),
     "report": Kind("Write the report of a dataset", ReportArguments, _report),
     "import": Kind("Import a BRDF that was measured elsewhere", ImportAsked, _import),
-    "recalibrate": Kind("Calibrate raw data anew", RecalibrateArguments, _recalibrate),
+    "recalibrate": Kind("Calibrate raw data anew", RecalibrateArguments, _recalibrate, "metrologist"),
     "tradeoff": Kind("Chart speed against accuracy", TradeoffArguments, _tradeoff),
     "stability": Kind("Map the stability of the fits", StabilityArguments, _stability),
     "choose": Kind("Choose the model that a scene needs", ChooseArguments, _choose),

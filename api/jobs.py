@@ -13,7 +13,6 @@ import threading
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import asdict
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -25,6 +24,7 @@ from api.errors import Conflict
 from api.events import Events
 from api.job_rows import BEAT, OPEN, Job
 from api.job_worker import Ended, begin_worker, work
+from api.views.jobs import job_view
 from goniometer.store import Store
 
 log = logging.getLogger(__name__)
@@ -170,8 +170,7 @@ class Jobs:
             self._publish(job_id)
 
     def _publish(self, job_id: int) -> None:
-        job = job_rows.job(self._store, job_id)
-        self._events.publish("job", {name: value for name, value in asdict(job).items() if name != "arguments"})
+        self._events.publish("job", job_view(job_rows.job(self._store, job_id)).model_dump())
 
 
 def _log_fault(ended: "Future[None]") -> None:

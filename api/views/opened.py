@@ -85,11 +85,6 @@ class Opened:
         dim = ~hue_is_known(data, self.shift.lambda_n)
         return ColourDifferences(found.absolute, np.where(dim, np.nan, found.chromatic))
 
-    @property
-    def version(self) -> tuple[object, ...]:
-        """What all views of this dataset are made of: they change with nothing else."""
-        return self.entry.content_hash, self.fits[-1].id if self.fits else 0, software_version()
-
 
 class Datasets:
     """The datasets of a database as they are looked at, the last ones kept in memory.
@@ -109,6 +104,10 @@ class Datasets:
         """Load what takes seconds the first time; call it in a thread of its own when the service starts."""
         load_conductor()
         xyz_weights(np.array(COLOUR_RANGE))
+
+    def version(self, dataset_id: int) -> tuple[object, ...]:
+        """What all views of a dataset are made of: they change with nothing else. Raises `NotInStore`."""
+        return self._entry(dataset_id).content_hash, self._store.newest_fit(dataset_id), software_version()
 
     def open(self, dataset_id: int) -> Opened:
         """A dataset with its fits; raises `NotInStore`."""
@@ -131,6 +130,11 @@ class Datasets:
             found = fill(dataset, *unmeasured(dataset, STEP))
             self._keep(file, _pack(found))
             return found
+
+    def _entry(self, dataset_id: int) -> Entry:
+        with self._lock:
+            known = self._kept.get(dataset_id)
+        return self._store.entry(dataset_id) if known is None else known[0]
 
     def _read(self, dataset_id: int) -> tuple[Entry, Dataset]:
         return self._store.entry(dataset_id), self._store.dataset(dataset_id)

@@ -1,6 +1,7 @@
 """The web application of a running service."""
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -9,7 +10,22 @@ from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, instrument, log, login, operation, tokens, users
+from api.web import (
+    analyses,
+    calibration,
+    datasets,
+    events,
+    fits,
+    imports,
+    instrument,
+    jobs,
+    log,
+    login,
+    operation,
+    samples,
+    tokens,
+    users,
+)
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
@@ -23,6 +39,13 @@ ROUTERS = (
     users.router,
     tokens.router,
     log.router,
+    imports.router,  # before what has a number in the same place
+    datasets.router,
+    samples.router,
+    fits.router,
+    calibration.router,
+    analyses.router,
+    jobs.router,
 )
 
 
@@ -33,6 +56,7 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         live.events.attach(asyncio.get_running_loop())
         live.worker.start()
+        threading.Thread(target=live.datasets.warm_up, name="warm-up", daemon=True).start()
         try:
             yield
         finally:
