@@ -45,6 +45,8 @@ from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign_file import load_campaign
+from goniometer.dataset import kind_of
+from goniometer.dataset_file import last_file
 from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY
@@ -198,15 +200,21 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["datasets"] = list(store.datasets(entry["id"]))
     alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
     samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
-    imported, simulated = ([i for i in alone if origin in lineages[i]] for origin in ("imported", "simulated"))
+    of_kind: dict[str, list[tuple[int, object]]] = {"measured": [], "imported": [], "simulated": []}
+    for i, lineage in lineages.items():
+        kind = kind_of(lineage)
+        of_kind[kind].append((i, last_file(lineage) if kind == "measured" else lineage[kind]))
     if as_json:
         emit(
             {
                 "database": str(database),
                 "campaigns": store.campaigns(),
                 "scans": found,
-                "imported": [{"dataset": i, "sample": samples[i], "file": lineages[i]["imported"]} for i in imported],
-                "simulated": [{"dataset": i, "sample": samples[i], "how": lineages[i]["simulated"]} for i in simulated],
+                "measured_elsewhere": [
+                    {"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["measured"]
+                ],
+                "imported": [{"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["imported"]],
+                "simulated": [{"dataset": i, "sample": samples[i], "how": how} for i, how in of_kind["simulated"]],
             }
         )
         return
@@ -221,10 +229,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for dataset_id in alone:
-        origin = "imported" if dataset_id in imported else "simulated"
-        line = f"{origin}: {samples[dataset_id]}: {lineages[dataset_id][origin]}, dataset {dataset_id}"
-        out.print(line, markup=False, highlight=False)
+    for made, those in of_kind.items():
+        what = "measured elsewhere" if made == "measured" else made
+        for i, origin in those:
+            out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:

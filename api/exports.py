@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from api.derive import Export
+from api.derive import Export, write_bytes, write_text
 from api.products import usual_path, write_fits, write_mitsuba
+from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
+from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -16,6 +18,9 @@ from goniometer.store import Store
 @dataclass(frozen=True)
 class Options:
     """What a person may say of an export; each format knows some of it."""
+
+    raw: bool = False
+    """Whether all raw exposures are written as well."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +37,26 @@ class Format:
     """Names of the `Options` that it knows; another one is refused."""
 
 
+def _write_hdf5(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    raw = raw_of(store, dataset_id) if options.raw else None
+    return write_bytes("hdf5", path, dataset_to_hdf5(store.dataset(dataset_id), raw))
+
+
 FORMATS: dict[str, Format] = {
     "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
+    "hdf5": Format(
+        "the dataset with uncertainty, flags, lineage (and --raw exposures), NeXus-style", "h5", _write_hdf5, ("raw",)
+    ),
+    "csv": Format(
+        "the same as a table of one value a row",
+        "csv",
+        lambda store, dataset_id, path, _: write_text("csv", path, dataset_to_csv(store.dataset(dataset_id))),
+    ),
+    "parquet": Format(
+        "the same for data frames",
+        "parquet",
+        lambda store, dataset_id, path, _: write_bytes("parquet", path, dataset_to_parquet(store.dataset(dataset_id))),
+    ),
     "mitsuba": Format(
         "a .bsdf file for Mitsuba 3",
         "bsdf",

@@ -75,10 +75,13 @@ class MeasuredTable:
 
 
 def read_text(path: Path) -> tuple[str, bytes]:
-    """Text and content of a file; a byte order mark is taken off, and all line ends become the same.
+    """Text, as `as_text` has it, and content of a file; raises `DataFileError` as `read_content` and `as_text` do."""
+    content = read_content(path)
+    return as_text(str(path), content), content
 
-    Raises `DataFileError` where it cannot be read, is larger than `LARGEST_FILE`, or is no text.
-    """
+
+def read_content(path: Path) -> bytes:
+    """Content of a file; raises `DataFileError` where it cannot be read, or is larger than `LARGEST_FILE`."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
@@ -89,6 +92,14 @@ def read_text(path: Path) -> tuple[str, bytes]:
             f"{path}: is larger than {LARGEST_FILE / 1e6:.0f} MB, which is more than is read at once; leave out "
             f"wavelengths, or split it by incident angles."
         )
+    return content
+
+
+def as_text(path: str, content: bytes) -> str:
+    """Content as text; a byte order mark is taken off, and all line ends become the same.
+
+    `path` names the file in messages. Raises `DataFileError` where it is no text.
+    """
     encoding = "utf-16" if content[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig"
     try:
         text = content.decode(encoding)
@@ -96,7 +107,7 @@ def read_text(path: Path) -> tuple[str, bytes]:
         raise DataFileError(f"{path}: is no text in UTF-8; save it as such.") from error
     if "\0" in text:
         raise DataFileError(f"{path}: is no text but a binary file; name a file of a format that is read.")
-    return text.replace("\r\n", "\n").replace("\r", "\n"), content
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def tidied(path: str, table: MeasuredTable, lowest: float, highest: float) -> tuple[MeasuredTable, list[str]]:
