@@ -285,12 +285,12 @@ def _run(scene: MitsubaScene, job: dict[str, Any], materials: list[Material]) ->
             [sys.executable, "-m", "analysis.mitsuba_worker", name], capture_output=True, text=True, check=False
         )
         if done.returncode != 0:
-            raise RenderError(_why(done.stderr))
+            raise RenderError(why_it_failed(done.stderr))
         with np.load(folder / "out.npz") as arrays:
             return {key: arrays[key] for key in arrays.files}
 
 
-def _why(told: str) -> str:
+def why_it_failed(told: str) -> str:
     """What is wrong, from the last words of the worker."""
     last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it said nothing")
     if "No module named 'mitsuba'" in told:
