@@ -7,6 +7,7 @@ import numpy as np
 
 from analysis.errors import ExportError
 from analysis.ladder import Microfacet
+from analysis.mitsuba_run import bsdf_element
 from analysis.vase_scene import SceneFiles, vase_scene
 from drivers.arrays import FloatArray
 
@@ -44,8 +45,7 @@ def plugin_material(model: Microfacet) -> str:
     if form.shift == "cosine":
         h, w = (float(value) for value in model.parameters[form.first_of_shift :])
         parameters += [_number("h", h), _number("w", w)]
-    inner = "".join(f"\n    {parameter}" for parameter in parameters)
-    return f'<bsdf type="ggx_shift" id="sample">{inner}\n  </bsdf>'
+    return bsdf_element("ggx_shift", "".join(f"\n    {parameter}" for parameter in parameters) + "\n  ")
 
 
 def plugin_scene(model: Microfacet, about: str) -> SceneFiles:

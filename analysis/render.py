@@ -5,8 +5,6 @@ library of LLVM, and some versions of that end the process without a word, so it
 """
 
 import json
-import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 
 from analysis.choose import p95_of, without_noise
 from analysis.errors import RenderError
-from analysis.mitsuba_scene import why_it_failed
+from analysis.mitsuba_run import run_worker
 from analysis.vase_scene import SceneFiles
 from analysis.vertices import BRIGHT, DARK, Display, observer_white
 from drivers.arrays import BoolArray, FloatArray
@@ -116,15 +114,8 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
             "shape": _SHAPE,
         }
         (folder / "job.json").write_text(json.dumps(job))
-        done = subprocess.run(
-            [sys.executable, "-m", "analysis.render_worker", name], capture_output=True, text=True, check=False
-        )
-        if done.returncode < 0:
-            raise RenderError(f"Mitsuba ended by signal {-done.returncode} in the variant {variant.name}.")
-        if done.returncode != 0:
-            raise RenderError(why_it_failed(done.stderr))
-        with np.load(folder / "out.npz") as arrays:
-            return Pictures(arrays["images"], arrays["seconds"], arrays["covered"])
+        found = run_worker("analysis.render_worker", folder)
+        return Pictures(found["images"], found["seconds"], found["covered"])
 
 
 def compare(pictures: Pictures, first: int = 0, second: int = 1) -> Comparison:
