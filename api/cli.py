@@ -36,6 +36,7 @@ from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
+from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
@@ -84,7 +85,7 @@ def demo(
     _fail_for(result.failures)
 
 
-@app.command(name="run")
+@app.command(name="run", cls=Logged)
 def run_command(
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
@@ -251,10 +252,10 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
 
 
 for _verb in ("pause", "resume", "abort"):
-    app.command(name=_verb)(_command(_verb))
+    app.command(name=_verb, cls=Logged)(_command(_verb))
 
 
-@app.command()
+@app.command(cls=Logged)
 def fit(
     dataset: DatasetName,
     model: Annotated[
@@ -298,7 +299,7 @@ add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 
-@app.command()
+@app.command(cls=Logged)
 def report(
     dataset: DatasetName,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,

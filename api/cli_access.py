@@ -12,7 +12,7 @@ from rich.table import Table
 from api import audit
 from api.accounts import Role, add_user, all_users, remove_user, set_disabled, set_password, set_role
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
-from api.audit import at_terminal
+from api.logged import Logged
 from api.tokens import FIRST_USER, all_tokens, create_token, ensure_first_user, revoke_token, token
 from goniometer.errors import InputError
 from goniometer.store import Store
@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(log_app, name="log")
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def add(
     name: Name,
     role: Annotated[Role, typer.Option(help="What they may do.")] = "viewer",
@@ -41,8 +41,7 @@ def add(
     """Let somebody in; asks for a password, or reads it from a pipe."""
     store = Store.open(database)
     password = None if no_password else _new_password(name)
-    with at_terminal(store, "user add", user=name, role=role):
-        made = add_user(store, name, role, password)
+    made = add_user(store, name, role, password)
     _tell(asdict(made), f"{name} may use the service as {role}.", as_json=as_json)
 
 
@@ -53,7 +52,7 @@ def list_users(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> No
     _tell_table("users", users, as_json=as_json)
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def role(
     name: Name,
     role: Annotated[Role, typer.Argument(help="What they may do.", show_default=False)],
@@ -62,49 +61,45 @@ def role(
 ) -> None:
     """Give somebody another role; it counts at once."""
     store = existing(database)
-    with at_terminal(store, "user role", user=name, role=role):
-        set_role(store, name, role)
+    set_role(store, name, role)
     _tell({"name": name, "role": role}, f"{name} may use the service as {role}.", as_json=as_json)
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def password(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Give somebody another password, asked for or read from a pipe; their sessions end."""
     store = existing(database)
-    with at_terminal(store, "user password", user=name):
-        set_password(store, name, _new_password(name))
+    set_password(store, name, _new_password(name))
     _tell({"name": name}, f"{name} has another password.", as_json=as_json)
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def disable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Keep somebody out, at once; what they are and their tokens are kept."""
     store = existing(database)
-    with at_terminal(store, "user disable", user=name):
-        set_disabled(store, name, disabled=True)
+    set_disabled(store, name, disabled=True)
     _tell({"name": name, "disabled": True}, f"{name} is kept out.", as_json=as_json)
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def enable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Let somebody in again who was kept out."""
     store = existing(database)
-    with at_terminal(store, "user enable", user=name):
-        set_disabled(store, name, disabled=False)
+    set_disabled(store, name, disabled=False)
     _tell({"name": name, "disabled": False}, f"{name} is let in again.", as_json=as_json)
 
 
-@user_app.command()
+@user_app.command(cls=Logged)
 def remove(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Forget somebody, with their tokens and sessions; the log keeps their name."""
     store = existing(database)
-    with at_terminal(store, "user remove", user=name):
-        remove_user(store, name)
+    remove_user(store, name)
     _tell({"name": name, "removed": True}, f"{name} is forgotten.", as_json=as_json)
 
 
-@token_app.command()
+@token_app.command(cls=Logged)
 def create(
+    context: typer.Context,
     label: Annotated[str, typer.Argument(help="What it is for.")] = "made at the command line",
     user: Annotated[str, typer.Option(help="In whose name it works.")] = FIRST_USER,
     role: Annotated[Role | None, typer.Option(help="It may do no more than this; without it, what they may.")] = None,
@@ -114,9 +109,9 @@ def create(
 ) -> None:
     """Make a token; it is shown only now."""
     store = Store.open(database)
-    with at_terminal(store, "token create", user=user, label=label, role=role, days=days):
-        ensure_first_user(store)
-        text, made = create_token(store, user, label, role, None if days is None else timedelta(days=days))
+    ensure_first_user(store)
+    text, made = create_token(store, user, label, role, None if days is None else timedelta(days=days))
+    context.meta["log number"] = made.id
     if as_json:
         emit(asdict(made) | {"token": text})
     else:
@@ -129,7 +124,7 @@ def list_tokens(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> N
     _tell_table("tokens", [asdict(each) for each in all_tokens(existing(database))], as_json=as_json)
 
 
-@token_app.command()
+@token_app.command(cls=Logged)
 def revoke(
     number: Annotated[int, typer.Argument(help="Number of the token.", show_default=False)],
     database: DatabaseFile = DATABASE,
@@ -138,8 +133,7 @@ def revoke(
     """Make a token worthless, with the sessions that began with it."""
     store = existing(database)
     owner = token(store, number).user
-    with at_terminal(store, "token revoke", number=number, user=owner):
-        revoke_token(store, number)
+    revoke_token(store, number)
     _tell({"id": number, "revoked": True}, f"Token {number} of {owner} opens nothing any more.", as_json=as_json)
 
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from analysis.wording import words
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.datasets import make_dataset, recalibrate, uncalibrated_scan
+from api.logged import Logged
 from api.quality import (
     budget_content,
     budget_lines,
@@ -28,7 +29,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(name="budget")(budget)
     app.command(name="check")(check)
-    app.command(name="calibrate")(calibrate)
+    app.command(name="calibrate", cls=Logged)(calibrate)
 
 
 def budget(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
+from goniometer.bird_json import parsed_json, read_bird_json
 from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import reloaded
@@ -15,7 +16,7 @@ from goniometer.measured_table import MeasuredTable, as_text, read_content, read
 from goniometer.published_json import read_published_json
 from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
 
-FileFormat = Literal["published JSON", "raw text", "table"]
+FileFormat = Literal["published JSON", "BiRD JSON", "raw text", "table"]
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,9 @@ def imported_file(asked: Request) -> Dataset:
 
 def file_format(text: str) -> FileFormat:
     """Which reader a text is for, by how it begins."""
-    if text.lstrip()[:1] in {"[", "{"}:
-        return "published JSON"
+    begin = text.lstrip()[:1]
+    if begin in {"[", "{"}:
+        return "published JSON" if begin == "[" else "BiRD JSON"
     return "raw text" if looks_like_raw_text(text) else "table"
 
 
@@ -120,8 +122,18 @@ def _check_options(asked: Request, kind: FileFormat) -> None:
         )
 
 
-_AS = {"published JSON": "JSON of points", "raw text": "raw text of a goniometer", "table": "a table"}
-_USED: dict[FileFormat, tuple[str, ...]] = {"published JSON": (), "raw text": _OF_RAW, "table": _OF_TABLE}
+_AS = {
+    "published JSON": "JSON of points",
+    "BiRD JSON": "universal BRDF JSON",
+    "raw text": "raw text of a goniometer",
+    "table": "a table",
+}
+_USED: dict[FileFormat, tuple[str, ...]] = {
+    "published JSON": (),
+    "BiRD JSON": (),
+    "raw text": _OF_RAW,
+    "table": _OF_TABLE,
+}
 
 
 def _options(names: list[str]) -> str:
@@ -134,6 +146,8 @@ def _read(asked: Request, kind: FileFormat, text: str) -> tuple[MeasuredTable, l
     if kind == "published JSON":
         table, notes = read_published_json(path, text)
         return table, notes, {}
+    if kind == "BiRD JSON":
+        return read_bird_json(path, parsed_json(path, text))
     if kind == "table":
         assert asked.quantity is not None  # as is what follows, checked with the options
         assert asked.angles is not None

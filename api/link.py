@@ -9,7 +9,7 @@ import time
 from collections import deque
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -121,7 +121,8 @@ class Link:
         context = multiprocessing.get_context("spawn")
         while not self._closing:
             here, there = context.Pipe()
-            process = context.Process(target=main, args=(there, self._task), name="goniometer bench")
+            task = replace(self._task, since=now())
+            process = context.Process(target=main, args=(there, task), name="goniometer bench")
             process.start()
             there.close()
             with self._lock:

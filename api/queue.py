@@ -48,7 +48,10 @@ class Entry:
     start_after: str | None
     """ISO 8601 in UTC before which it does not begin; None for no such moment."""
     created: str
+    ordered: str | None
+    """When somebody started it last; None while nobody did."""
     started: str | None
+    """When it ran first."""
     finished: str | None
 
     @property
@@ -100,6 +103,7 @@ def add_entry(database: Database, campaign: Campaign, who: str, start_after: dat
             who=who,
             start_after=None if start_after is None else start_after.astimezone(UTC).isoformat(timespec="milliseconds"),
             created=now(),
+            ordered=None if start_after is None else now(),
         )
         return _one(connection, added)
 
@@ -143,10 +147,20 @@ def start_entry(database: Database, entry_id: int) -> Entry:
             )
         if wanted.phase == "queued":
             return wanted
-        values: dict[str, Any] = {"phase": "queued", "outcome": None, "reason": "", "finished": None}
+        values: dict[str, Any] = {"phase": "queued", "outcome": None, "reason": "", "finished": None, "ordered": now()}
         if wanted.phase == "finished":
             values["position"] = _last(connection) + 1
         connection.execute(update(table).where(table.c.id == entry_id).values(**values))
+        return _one(connection, entry_id)
+
+
+def unqueue(database: Database, entry_id: int) -> Entry:
+    """Let an entry that is queued wait for somebody to start it again. Raises `NotInStore` and `Conflict`."""
+    with database.alone() as connection:
+        wanted = _one(connection, entry_id)
+        if wanted.phase != "queued":
+            raise Conflict(f'Entry {entry_id}, "{wanted.name}", is {wanted.phase}, so there is nothing to abort')
+        connection.execute(update(table).where(table.c.id == entry_id).values(phase="idle", reason="It was aborted."))
         return _one(connection, entry_id)
 
 
@@ -182,12 +196,22 @@ def finish_entry(database: Database, entry_id: int, outcome: Outcome, reason: st
         )
 
 
-def hold(database: Database, queued: str, running: str | None = None) -> None:
-    """Let nothing begin by itself any more: what is queued is idle, and so is what runs if that has a reason, too."""
-    with database.alone() as connection:
-        for phase, reason in (("running", running), ("queued", queued)):
-            if reason is not None:
-                connection.execute(update(table).where(table.c.phase == phase).values(phase="idle", reason=reason))
+def hold(database: Database, reason: str, since: str | None = None) -> None:
+    """Let nothing begin by itself any more: what is queued is idle, for this reason.
+
+    What somebody started after the moment `since`, ISO 8601 in UTC, stays queued.
+    """
+    meant = table.c.phase == "queued"
+    if since is not None:
+        meant &= table.c.ordered < since
+    with database.writing() as connection:
+        connection.execute(update(table).where(meant).values(phase="idle", reason=reason))
+
+
+def interrupt(database: Database, reason: str) -> None:
+    """What was running is idle, for this reason; it has not ended, and goes on where it stood."""
+    with database.writing() as connection:
+        connection.execute(update(table).where(table.c.phase == "running").values(phase="idle", reason=reason))
 
 
 def _last(connection: Connection) -> int:

@@ -31,7 +31,15 @@ from goniometer.certificate import NOMINAL_SRS99, Override
 from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
-from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, CertificateError, NotInStore, StoreFull
+from goniometer.errors import (
+    BenchUnfit,
+    CalibrationError,
+    CampaignError,
+    CertificateError,
+    GoniometerError,
+    NotInStore,
+    StoreFull,
+)
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset, own_datasets
@@ -301,7 +309,7 @@ async def run_alone(
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
-        campaign = _with_materials(campaign)
+        campaign = with_materials(campaign)
     with _fitting_process() as executor:
         waiting: dict[int, Future[Derived]] = {}
         failures: list[str] = []
@@ -348,7 +356,7 @@ async def run_alone(
     return RunResult(campaign_id, tuple(failures))
 
 
-def _with_materials(campaign: Campaign) -> Campaign:
+def with_materials(campaign: Campaign) -> Campaign:
     """The campaign with what is in every file that is a material of the simulated bench.
 
     Raises `InputError` for a material that there is not, and for directions of which a table knows nothing.
@@ -363,6 +371,24 @@ def _with_materials(campaign: Campaign) -> Campaign:
         return sample.model_copy(update={"material": str(file._replace(content=content))})
 
     return campaign.model_copy(update={"samples": tuple(map(known, campaign.samples))})
+
+
+def preflight(store: Store, campaign: Campaign, settings: InstrumentSettings | None) -> list[str]:
+    """Why `run` would refuse `campaign` before a device is opened, as sentences; none where it would not."""
+    checks: list[Callable[[], object]] = [
+        lambda: _check_certificate(store, campaign, panel_certificate(campaign, settings)),
+        lambda: _check_folders(store, campaign),
+        lambda: _check_reach(campaign, settings),
+    ]
+    if settings is None:
+        checks.append(lambda: with_materials(campaign))
+    found = []
+    for check in checks:
+        try:
+            check()
+        except GoniometerError as error:
+            found.append(str(error))
+    return found
 
 
 def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -> str | None:

@@ -74,6 +74,8 @@ class Task:
     """Where the service answers."""
     mounts_by_itself: bool
     """Whether samples are laid on the simulated bench without asking anybody."""
+    since: str = ""
+    """When the process was started, ISO 8601 in UTC: what was queued before waits for somebody to look."""
 
 
 def main(connection: Connection, task: Task) -> None:
@@ -177,7 +179,8 @@ class _Worker:
         """Run the queue, and show signs of life; returns when the lease is lost, with the bench parked."""
         log.info("Drives the bench, term %d", lease.term)
         self.store.end_stale_scans()
-        queue.hold(self.store, HELD, RESTARTED)
+        queue.interrupt(self.store, RESTARTED)
+        queue.hold(self.store, HELD, self.task.since)
         self.halted = self.leaving = False
         self.tell_queue()
         self._see_driver()
@@ -192,7 +195,7 @@ class _Worker:
             await asyncio.wait({work, beats})
             self.lease = None
             with suppress(StoreError):  # then it expires
-                queue.hold(self.store, HELD, RESTARTED)
+                queue.interrupt(self.store, RESTARTED)
                 release_lease(self.store, lease)
             self.tell_queue()
         for each in (work, beats):
@@ -242,7 +245,7 @@ class _Worker:
                 log.error("%s", error)
                 await asyncio.sleep(PATIENCE_WITH_DISK)
                 with suppress(StoreError):  # then it is tried again
-                    queue.hold(self.store, HELD, str(error))
+                    queue.interrupt(self.store, str(error))
             await asyncio.sleep(AGAIN)
 
     async def _watch_for_stop(self, lease: Lease) -> None:

@@ -140,6 +140,7 @@ queue = Table(
     Column("who", String, nullable=False),
     Column("start_after", String),
     Column("created", String, nullable=False),
+    Column("ordered", String),
     Column("started", String),
     Column("finished", String),
     CheckConstraint("phase IN ('idle', 'queued', 'running', 'finished')"),

@@ -13,6 +13,7 @@ from api.live import Live
 from api.web import (
     analyses,
     calibration,
+    campaigns,
     datasets,
     events,
     fits,
@@ -22,7 +23,9 @@ from api.web import (
     log,
     login,
     operation,
+    queue,
     samples,
+    scans,
     tokens,
     users,
 )
@@ -30,6 +33,9 @@ from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
+
+LARGEST_BODY = 4 << 20
+"""Octets of a request; endpoints that take files allow more."""
 
 ROUTERS = (
     operation.router,
@@ -39,6 +45,9 @@ ROUTERS = (
     users.router,
     tokens.router,
     log.router,
+    campaigns.router,
+    queue.router,
+    scans.router,
     imports.router,  # before what has a number in the same place
     datasets.router,
     samples.router,
@@ -70,6 +79,7 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
+        max_body_size=LARGEST_BODY,
     )
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
