@@ -19,8 +19,9 @@ import goniometer.errors
 from api.errors import Conflict
 from api.events import Events
 from api.lease import pass_on_stop
+from api.runner import Task
 from api.state import Answer, BenchState, Call, Message, Snapshot, Told
-from api.worker import Task, main
+from api.worker import main
 from drivers.errors import DriverError
 from goniometer.database import Database
 from goniometer.errors import GoniometerError

@@ -22,7 +22,9 @@ from api.web import (
     jobs,
     log,
     login,
+    metrics,
     operation,
+    pages,
     queue,
     samples,
     scans,
@@ -39,6 +41,7 @@ LARGEST_BODY = 4 << 20
 
 ROUTERS = (
     operation.router,
+    metrics.router,
     events.router,
     instrument.router,
     login.router,
@@ -55,6 +58,7 @@ ROUTERS = (
     calibration.router,
     analyses.router,
     jobs.router,
+    pages.router,  # the last, because it answers to every path
 )
 
 
@@ -84,7 +88,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
     install(app)
+    app.state.metrics = metrics.Metrics(live)
+    # the last is the first to see a request
     app.add_middleware(Gate, store=live.store, access=access)
+    app.add_middleware(pages.Careful)
+    app.add_middleware(metrics.Counted, metrics=app.state.metrics)
     for router in ROUTERS:
         app.include_router(router)
     return app
