@@ -76,6 +76,8 @@ class Kind:
     run: Callable[[Work, Any], Made]
     role: Role = "operator"
     """Whoever asks for it needs this role or a higher one."""
+    long: bool = False
+    """Whether it takes minutes or hours; the others need not wait for it."""
 
 
 def _fit(work: Work, asked: FitArguments) -> Made:
@@ -190,8 +192,8 @@ KINDS: dict[str, Kind] = {
     "report": Kind("Write the report of a dataset", ReportArguments, _report),
     "import": Kind("Import a BRDF that was measured elsewhere", ImportAsked, _import),
     "recalibrate": Kind("Calibrate raw data anew", RecalibrateArguments, _recalibrate, "metrologist"),
-    "tradeoff": Kind("Chart speed against accuracy", TradeoffArguments, _tradeoff),
-    "stability": Kind("Map the stability of the fits", StabilityArguments, _stability),
-    "choose": Kind("Choose the model that a scene needs", ChooseArguments, _choose),
+    "tradeoff": Kind("Chart speed against accuracy", TradeoffArguments, _tradeoff, long=True),
+    "stability": Kind("Map the stability of the fits", StabilityArguments, _stability, long=True),
+    "choose": Kind("Choose the model that a scene needs", ChooseArguments, _choose, long=True),
 }
 """By the name that the database keeps."""
