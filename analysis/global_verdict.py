@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from analysis.noise import flag_sentences
 from analysis.results import Verdict
@@ -12,6 +12,9 @@ from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
 _SIGNIFICANCE = 0.01
+
+_USEFUL_P = 0.5
+"""Standard error of p beyond which it is not told: half a reflection more or less."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,16 @@ def judge_slopes(evidence: SlopeEvidence) -> Verdict:
     """The verdict: what speaks against the fit first, then what a reader should know besides."""
     against, undetermined = ([], ()) if evidence.model == "constant-slope" else _against(evidence)
     against = [*evidence.doubts, *against]
-    return Verdict(not against, (*against, *_notes(evidence)), undetermined)
+    of_p = _vague_exponent(evidence)
+    return Verdict(not against, (*against, *of_p, *_notes(evidence)), (*undetermined, *(["p"] if of_p else [])))
+
+
+def _vague_exponent(evidence: SlopeEvidence) -> list[str]:
+    """What to say of a p that the spectra hardly tell, as where Fresnel is flat; the slopes are none the worse."""
+    p, u = (
+        dict(zip(evidence.names, map(float, each), strict=True)).get("p", 0.0) for each in (evidence.values, evidence.u)
+    )
+    return [] if u <= _USEFUL_P else [f"The spectra hardly tell p = {p:.2g} ± {u:.2g}."]
 
 
 def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
@@ -61,7 +73,7 @@ def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
     f_value = gained / (evidence.chi2 / left) if evidence.chi2 > 0 else np.inf
     # w is free only under the cosine; the search tries about this many independent ones, each a chance to fool it
     trials = max(1.0, evidence.w_bounds[1] * evidence.largest_theta_m / np.pi)
-    probability = min(1.0, trials * float(f_distribution.sf(f_value, free - 1, left)))
+    probability = min(1.0, trials * float(fdtrc(free - 1, left, f_value)))
     value = dict(zip(evidence.names, map(float, evidence.values), strict=True))
     u = dict(zip(evidence.names, map(float, evidence.u), strict=True))
     h, w = value["h"], value["w"]

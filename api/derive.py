@@ -7,7 +7,7 @@ import re
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from analysis.analyse import analyse
@@ -36,6 +36,10 @@ class Export:
     """"json", "mitsuba", "report", "material", ..."""
     path: Path
     sha256: str
+    notes: tuple[str, ...] = ()
+    """What a person should know of it, whole sentences."""
+    facts: dict[str, object] = field(default_factory=dict)
+    """The same for a program, by name."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,11 @@ _CONTENT = {
 def write_text(file_format: str, path: Path, text: str) -> Export:
     """Write a text."""
     return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_bytes(file_format: str, path: Path, content: bytes) -> Export:
+    """Write a content."""
+    return write_file(file_format, path, lambda part: part.write_bytes(content))
 
 
 def write_material(path: Path, dataset: Dataset) -> Export:

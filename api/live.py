@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from api.events import Events
+from api.jobs import Jobs
 from api.link import Link
 from api.runner import Task
 from api.settings import InstrumentSettings
+from api.views.opened import Datasets
 from goniometer.store import Store
 
 
@@ -27,6 +29,10 @@ class Live:
     """The process that drives the bench; the application starts and ends it."""
     output: Path
     """Folder below which the files of campaigns, exports and jobs are written."""
+    jobs: Jobs
+    """Heavy work in processes of its own."""
+    datasets: Datasets
+    """Datasets as they are looked at."""
     files: Path
     """Folder of what campaigns name: certificates, materials and weights of scenes."""
 
@@ -48,8 +54,11 @@ def open_live(
     store = Store.open(database)
     events = Events()
     worker = Link(Task(database, output, settings, url, mounts_by_itself), store, events)
+    jobs = Jobs(store, database, output, events)
+    datasets = Datasets(store, output / "cache")
     try:
-        yield Live(store, database, settings, events, worker, output, Path.cwd())
+        yield Live(store, database, settings, events, worker, output, jobs, datasets, Path.cwd())
     finally:
+        jobs.close()
         events.close()
         store.close()

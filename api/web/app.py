@@ -1,6 +1,7 @@
 """The web application of a running service."""
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -9,7 +10,27 @@ from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import campaigns, events, instrument, log, login, metrics, operation, pages, queue, scans, tokens, users
+from api.web import (
+    analyses,
+    calibration,
+    campaigns,
+    datasets,
+    events,
+    fits,
+    imports,
+    instrument,
+    jobs,
+    log,
+    login,
+    metrics,
+    operation,
+    pages,
+    queue,
+    samples,
+    scans,
+    tokens,
+    users,
+)
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
@@ -30,6 +51,13 @@ ROUTERS = (
     campaigns.router,
     queue.router,
     scans.router,
+    imports.router,  # before what has a number in the same place
+    datasets.router,
+    samples.router,
+    fits.router,
+    calibration.router,
+    analyses.router,
+    jobs.router,
     pages.router,  # the last, because it answers to every path
 )
 
@@ -41,6 +69,7 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         live.events.attach(asyncio.get_running_loop())
         live.worker.start()
+        threading.Thread(target=live.datasets.warm_up, name="warm-up", daemon=True).start()
         try:
             yield
         finally:
