@@ -18,6 +18,8 @@ from tests.api.service_client import Client
 
 WHO_MAY: dict[str, Role | None] = {
     "GET /health": None,
+    "GET /metrics": None,
+    "GET /{path:path}": None,
     "GET /api/openapi.json": None,
     "POST /api/login": None,
     "POST /api/logout": "viewer",
