@@ -9,9 +9,8 @@ from sqlalchemy import Row, Select, func, or_, select
 from goniometer import tables
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.database import Database
-from goniometer.dataset import Dataset, Flag
+from goniometer.dataset import Dataset, Flag, Kind
 
-DatasetKind = Literal["measured", "simulated", "imported"]
 Order = Literal["newest", "oldest"]
 
 
@@ -21,10 +20,10 @@ class Entry:
 
     id: int
     scan_id: int | None
-    """None where it was imported or simulated."""
+    """None where it was imported, simulated, or measured elsewhere."""
     sample: str
     """Its name, with the number of the repeat where a campaign measured it several times."""
-    kind: DatasetKind
+    kind: Kind
     points: int
     incident_angles: int
     shortest: float
@@ -55,7 +54,7 @@ class Wanted:
     sample: str | None = None
     """Name of the sample, with or without the number of the repeat, whatever the case of its letters."""
     campaign_id: int | None = None
-    kind: DatasetKind | None = None
+    kind: Kind | None = None
     flag: Flag | None = None
     """Those with at least one point of this flag."""
     since: str | None = None
@@ -69,7 +68,7 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
     source = dataset.lineage.get("recalibrated_from")
     return {
         "sample": dataset.sample,
-        "kind": kind_of(dataset.lineage),
+        "kind": dataset.kind,
         "points": dataset.theta_in.size,
         "incident_angles": int(incidence_groups(dataset.theta_in, SAME_INCIDENCE).max(initial=-1)) + 1,
         "shortest": float(dataset.wavelengths[0]),
@@ -77,14 +76,10 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
         "flags": int(np.bitwise_or.reduce(dataset.flags, initial=0)),
         "flagged": int(np.count_nonzero(dataset.flags)),
         "checks_failed": sum(check.passed is False for check in dataset.checks),
-        "recalibrated_from": source if isinstance(source, int) else None,
+        # the number of one that came from a file is of another database
+        "recalibrated_from": source if isinstance(source, int) and "reloaded" not in dataset.lineage else None,
         "content_hash": dataset.content_hash,
     }
-
-
-def kind_of(lineage: dict[str, object]) -> DatasetKind:
-    """Where a dataset comes from, by its lineage."""
-    return "simulated" if "simulated" in lineage else "imported" if "imported" in lineage else "measured"
 
 
 class Catalogue(Database):

@@ -63,7 +63,7 @@ class Derived(Catalogue):
     def dataset_created(self, dataset_id: int) -> str:
         """When a dataset was written, ISO 8601 in UTC; raises `NotInStore`."""
         query = select(tables.datasets.c.created).where(tables.datasets.c.id == dataset_id)
-        return str(self._one(query, f"dataset {dataset_id}").created)
+        return str(self.row(query, f"dataset {dataset_id}").created)
 
     def dataset_certificate(self, dataset_id: int) -> str | None:
         """Text of the certificate of a dataset, None where it is that of its campaign; raises `NotInStore`."""
