@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from api.bluesky_documents import bluesky_lines
 from api.derive import Export, write_bytes, write_text
 from api.package import write_package
 from api.products import usual_path, write_fits, write_mitsuba
@@ -97,6 +98,11 @@ FORMATS: dict[str, Format] = {
     "parquet": Format("the same, for data frames", "parquet", _content("parquet", dataset_to_parquet)),
     "paper": Format("the JSON of points of the paper's authors", "json", _write_paper),
     "bird": Format("universal BRDF JSON of the BiRD project", "brdf", _write_bird, ("about",)),
+    "bluesky": Format(
+        "documents of bluesky's event model, one a line",
+        "jsonl",
+        lambda store, dataset_id, path, _: write_text("bluesky", path, bluesky_lines(store, dataset_id)),
+    ),
     "package": Format(
         "all of it as a zip or a folder that is ready to be published",
         "zip",
