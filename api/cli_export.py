@@ -26,16 +26,24 @@ def export(
     raw: Annotated[bool, typer.Option("--raw", help="hdf5: with all raw exposures.")] = False,
     about: Annotated[
         Path | None,
-        typer.Option(help="bird: YAML or JSON file with the keys provenance, license, sample, environment, ..."),
+        typer.Option(help="bird, package: YAML file with the keys provenance, license, sample, environment, ..."),
+    ] = None,
+    license_: Annotated[str | None, typer.Option("--license", help="package: SPDX identifier, e.g. CC-BY-4.0.")] = None,
+    creator: Annotated[
+        list[str] | None,
+        typer.Option(help='package: who made the data, "Family, Given" or an organisation; may be repeated.'),
+    ] = None,
+    attach: Annotated[
+        list[Path] | None,
+        typer.Option(help="package: photograph, topography or another file of the sample; may be repeated."),
     ] = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
-    tell_export(
-        export_dataset(store, chosen_dataset(store, dataset), to, path, Options(raw=raw, about=about)), as_json=as_json
-    )
+    options = Options(raw, license_, tuple(creator or ()), tuple(attach or ()), about)
+    tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path, options), as_json=as_json)
 
 
 def tell_export(written: Export, *, as_json: bool) -> None:

@@ -157,7 +157,14 @@ def usual_path(dataset: Dataset, ending: str) -> Path:
 
 
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
-    """Write the HTML report of a dataset to `path` or the present folder.
+    """Write the HTML report of a dataset to `path` or the present folder, and note that in the database."""
+    export = write_dataset_report(store, dataset_id, path or usual_path(store.dataset(dataset_id), "html"))
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export
+
+
+def write_dataset_report(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write the HTML report of a dataset.
 
     It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
     metal, distribution, weight and engine of the last fit.
@@ -165,12 +172,9 @@ def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
-    target = path or usual_path(dataset, "html")
     others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
     models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
     how = last_way(store, dataset_id)
     conductor = load_conductor(*conductor_name(how.conductor))
     analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
-    export = write_analysis_report(target, analysis, facts)
-    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
-    return export
+    return write_analysis_report(path, analysis, facts)

@@ -233,6 +233,10 @@ class Instrument:
         self.check(geometry)
         return await self._go((geometry.sample_angle, geometry.detector_angle))
 
+    async def standing(self) -> Standing:
+        """What the two stages read at rest, degrees; raises `DeviceFault` for one that is not ready."""
+        return await both(ready(self._sample_stage), ready(self._detector_stage))
+
     async def face_source(self, theta_in: float, detector_angle: float = 0.0) -> Geometry:
         """Stand with the detector in front of the source, where it sees stray light only, and return the read-back.
 
