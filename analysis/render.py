@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.choose import p95_of, without_noise
+from analysis.colour import rgb_to_xyz
 from analysis.errors import RenderError
 from analysis.mitsuba_run import run_worker
 from analysis.vase_scene import SceneFiles
@@ -115,7 +116,7 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
         }
         (folder / "job.json").write_text(json.dumps(job))
         found = run_worker("analysis.render_worker", folder)
-        return Pictures(found["images"], found["seconds"], found["covered"])
+        return Pictures(rgb_to_xyz(found["images"]), found["seconds"], found["covered"])
 
 
 def compare(pictures: Pictures, first: int = 0, second: int = 1) -> Comparison:

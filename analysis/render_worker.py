@@ -25,7 +25,7 @@ _COVERAGE_SAMPLES = 16
 
 
 def _picture(scene: Any, samples: int, seed: int) -> FloatArray:
-    """[rows, columns, 3] XYZ."""
+    """[rows, columns, 3] linear BT.709."""
     columns, rows = scene.sensors()[0].film().crop_size()
     at_once = max(min(samples, _AT_ONCE // (rows * columns)), 1)
     passes = -(-samples // at_once)

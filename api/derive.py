@@ -80,6 +80,11 @@ def write_text(file_format: str, path: Path, text: str) -> Export:
     return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
+def write_bytes(file_format: str, path: Path, content: bytes) -> Export:
+    """Write a content."""
+    return write_file(file_format, path, lambda part: part.write_bytes(content))
+
+
 def write_material(path: Path, dataset: Dataset) -> Export:
     """Write a dataset as the table of a material for the simulated bench."""
     return write_file("material", path, lambda part: write_tabulated(part, dataset))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from api.derive import Export
 from api.products import usual_path, write_fits, write_mitsuba
+from api.render import write_plugin_scene
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -38,6 +39,11 @@ FORMATS: dict[str, Format] = {
         "a .bsdf file for Mitsuba 3",
         "bsdf",
         lambda store, dataset_id, path, _: write_mitsuba(store, dataset_id, path),
+    ),
+    "mitsuba-plugin": Format(
+        "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
+        "xml",
+        lambda store, dataset_id, path, _: write_plugin_scene(store, dataset_id, path),
     ),
 }
 """By the name that `goniometer export --to` takes."""
