@@ -25,7 +25,7 @@ VARIANTS = ("llvm_ad_spectral", "scalar_spectral")
 SEEDS = (1, 2)
 """Every scene is rendered so many times; all materials with the same random numbers."""
 
-_SHAPE = "vase"
+_SHAPE, _SCENE = "vase", "scene.xml"
 
 
 @dataclass(frozen=True)
@@ -103,13 +103,16 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
     """Pictures of scenes of one size, rendered by turns. Raises `RenderError` where Mitsuba is not there or fails."""
     with tempfile.TemporaryDirectory(prefix="goniometer-") as name:
         folder = Path(name)
+        # each in a folder of its own, for files of two scenes may have one name
         for i, scene in enumerate(scenes):
-            (folder / f"{i}.xml").write_text(scene.xml, encoding="utf-8")
+            own = folder / str(i)
+            own.mkdir()
+            (own / _SCENE).write_text(scene.xml, encoding="utf-8")
             for file, content in scene.files.items():
-                (folder / file).write_bytes(content)
+                (own / file).write_bytes(content)
         job = {
             "variant": variant.name,
-            "scenes": [f"{i}.xml" for i in range(len(scenes))],
+            "scenes": [f"{i}/{_SCENE}" for i in range(len(scenes))],
             "samples": samples,
             "seeds": seeds,
             "shape": _SHAPE,
