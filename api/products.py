@@ -19,6 +19,7 @@ from api.derive import Export, slug, write_analysis_report, write_bsdf, write_te
 from api.outcome import STATED
 from api.service import run_facts
 from goniometer.dataset import Dataset
+from goniometer.dataset_file import last_file
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -149,7 +150,8 @@ def _analysed(store: Store, dataset_id: int, how: HowToFit) -> SampleAnalysis:
 def usual_path(dataset: Dataset, ending: str) -> Path:
     """A file in the present folder; raises `InputError` rather than write over what a sample was imported from."""
     path = Path(f"{slug(dataset.sample)}.{ending}")
-    if path.exists() and path.name.lower() == str(dataset.lineage.get("imported", "")).lower():
+    read_from = {str(dataset.lineage.get("imported", "")).lower(), last_file(dataset.lineage).lower()}
+    if path.exists() and path.name.lower() in read_from:
         raise InputError(f"{path} has the name of the file that was imported; name another one with --output.")
     return path
 

@@ -1,5 +1,6 @@
 """A dataset's fitted models rendered side by side, and its model as a scene for Mitsuba's plugin."""
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,16 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.brdf_fit import form_of
-from analysis.choose import NODES
-from analysis.export_mitsuba import describe
+from analysis.export_mitsuba import describe, write_bsdf
 from analysis.export_plugin import plugin_material, plugin_scene
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import Conductor, load_conductor
 from analysis.ladder import Microfacet
-from analysis.mitsuba_run import Material, bsdf_element
+from analysis.mitsuba_run import bsdf_element
 from analysis.render import Comparison, Pictures, Variant, compare, render_scenes, working_variant
 from analysis.render_report import difference_picture, shown
+from analysis.rendered_model import of_fit
 from analysis.results import ModelFit
 from analysis.vase_scene import SceneFiles, vase_scene
 from api.derive import Export, make_folder, write_bytes, write_file
@@ -31,7 +31,7 @@ METAL = ("cook-torrance", "cook-torrance-shift")
 DIELECTRIC = ("dielectric", "dielectric-shift")
 """The models that are compared."""
 
-_TABLE = "model.bsdf"
+TABLE = "model.bsdf"
 _TRIAL_PIXELS = 16
 
 
@@ -67,7 +67,7 @@ def render_dataset(
     Mitsuba is not there or fails, and what the fits raise.
     """
     dataset, fits, metal = _fitted(store, dataset_id, DIELECTRIC if dielectric else METAL)
-    models = [microfacet_of(fit, metal) for fit in fits]
+    models = [of_fit(fit, metal) for fit in fits]
     variant = working_variant(vase_scene(plugin_material(models[0]), _TRIAL_PIXELS))
     notes = list(variant.refused)
     if through is None:
@@ -77,7 +77,8 @@ def render_dataset(
                 "So the models were rendered as tables; --through plugin has them exactly, at a tenth of the speed."
             )
     scenes = [_scene(model, through, pixels) for model in models]
-    pictures = render_scenes(scenes, variant, samples)
+    notes += [f"{fit.model}: {about}" for fit, (_, about) in zip(fits, scenes, strict=True) if about]
+    pictures = render_scenes([scene for scene, _ in scenes], variant, samples)
     comparison = compare(pictures)
     for fit in fits:
         if not fit.verdict.trusted:
@@ -93,18 +94,12 @@ def write_plugin_scene(store: Store, dataset_id: int, path: Path) -> Export:
     """Write a dataset's Cook-Torrance with shift as a scene for the plugin ggx_shift, with what it needs beside it."""
     dataset, fits, metal = _fitted(store, dataset_id, METAL[1:])
     fit = fits[-1]
-    scene = plugin_scene(microfacet_of(fit, metal), describe(fit, dataset))
+    scene = plugin_scene(of_fit(fit, metal), describe(fit, dataset))
     for name, content in scene.files.items():
         write_bytes("mitsuba-plugin", path.with_name(name), content)
     export = write_file("mitsuba-plugin", path, lambda part: part.write_text(scene.xml, encoding="utf-8"))
     beside = ", ".join(scene.files)
     return replace(export, notes=(f"Beside it: {beside}.",), facts={"beside": sorted(scene.files)})
-
-
-def microfacet_of(fit: ModelFit, metal: Conductor) -> Microfacet:
-    """The reflectance of a fitted microfacet model; `metal` is that of its fit, if it is of one."""
-    form = form_of(fit.model, None if fit.albedo is not None else metal, fit.distribution or "ggx")
-    return Microfacet(form, np.array([parameter.value for parameter in fit.parameters]), fit.albedo)
 
 
 def _fitted(store: Store, dataset_id: int, models: tuple[str, ...]) -> tuple[Dataset, tuple[ModelFit, ...], Conductor]:
@@ -115,12 +110,21 @@ def _fitted(store: Store, dataset_id: int, models: tuple[str, ...]) -> tuple[Dat
     return dataset, fit_models(dataset, local, models, metal, how.engine, "ggx", how.weight), metal
 
 
-def _scene(model: Microfacet, through: Through, pixels: int) -> SceneFiles:
+def _scene(model: Microfacet, through: Through, pixels: int) -> tuple[SceneFiles, str]:
+    """A scene, and what a person should know of how it has the model; may be empty."""
     if through == "plugin":
-        return vase_scene(plugin_material(model), pixels)
-    content = Material(model, NODES, float(model.parameters[0])).content()
-    found = vase_scene(bsdf_element("measured", f'<string name="filename" value="{_TABLE}"/>'), pixels)
-    return replace(found, files=found.files | {_TABLE: content})
+        return vase_scene(plugin_material(model), pixels), ""
+    with tempfile.TemporaryDirectory(prefix="goniometer-") as name:
+        path = Path(name) / TABLE
+        report = write_bsdf(path, model)
+        content = path.read_bytes()
+    found = vase_scene(bsdf_element("measured", f'<string name="filename" value="{TABLE}"/>'), pixels)
+    error = report.written
+    about = (
+        f"its table is off by less than {error.error.p99:.1%} and {error.colour:.2f} dE00 in 99 of 100 directions. "
+        f"{report.clamped}"
+    )
+    return replace(found, files=found.files | {TABLE: content}), about.strip()
 
 
 def _png(image: np.ndarray) -> Callable[[Path], object]:

@@ -1,5 +1,6 @@
 """Which datasets there are in the database, told without reading their numbers."""
 
+from collections import Counter
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -9,9 +10,8 @@ from sqlalchemy import Row, Select, func, or_, select
 from goniometer import tables
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.database import Database
-from goniometer.dataset import Dataset, Flag
+from goniometer.dataset import Dataset, Flag, Kind
 
-DatasetKind = Literal["measured", "simulated", "imported"]
 Order = Literal["newest", "oldest"]
 
 
@@ -24,7 +24,7 @@ class Entry:
     """None where it was imported or simulated."""
     sample: str
     """Its name, with the number of the repeat where a campaign measured it several times."""
-    kind: DatasetKind
+    kind: Kind
     points: int
     incident_angles: int
     shortest: float
@@ -55,7 +55,7 @@ class Wanted:
     sample: str | None = None
     """Name of the sample, with or without the number of the repeat, whatever the case of its letters."""
     campaign_id: int | None = None
-    kind: DatasetKind | None = None
+    kind: Kind | None = None
     flag: Flag | None = None
     """Those with at least one point of this flag."""
     since: str | None = None
@@ -69,7 +69,7 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
     source = dataset.lineage.get("recalibrated_from")
     return {
         "sample": dataset.sample,
-        "kind": kind_of(dataset.lineage),
+        "kind": dataset.kind,
         "points": dataset.theta_in.size,
         "incident_angles": int(incidence_groups(dataset.theta_in, SAME_INCIDENCE).max(initial=-1)) + 1,
         "shortest": float(dataset.wavelengths[0]),
@@ -82,17 +82,12 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
     }
 
 
-def kind_of(lineage: dict[str, object]) -> DatasetKind:
-    """Where a dataset comes from, by its lineage."""
-    return "simulated" if "simulated" in lineage else "imported" if "imported" in lineage else "measured"
-
-
 class Catalogue(Database):
     """The part of an open database that lists datasets; `goniometer.store.Store` is the whole."""
 
     def entry(self, dataset_id: int) -> Entry:
         """One dataset; raises `NotInStore`."""
-        return _entry(self._one(_entries().where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}"))
+        return _entry(self.row(_entries().where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}"))
 
     def entries(self, wanted: Wanted, limit: int, after: int | None = None, order: Order = "newest") -> list[Entry]:
         """At most `limit` datasets that are `wanted`, from the one behind the dataset `after` on."""
@@ -113,13 +108,25 @@ class Catalogue(Database):
         newest = order == "newest"
         if after is not None:
             query = query.where(here.id < after if newest else here.id > after)
-        return [_entry(row) for row in self._all(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+        return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+
+    def recalibrations(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets that were made anew from this one, oldest first."""
+        here = tables.datasets.c
+        query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
+        return [row.id for row in self.rows(query)]
+
+    def dataset_counts(self) -> dict[str, int]:
+        """How many datasets there are by the name of their sample, without the number of a repeat."""
+        name = func.coalesce(tables.scans.c.sample, tables.datasets.c.sample)
+        query = select(name.label("sample")).select_from(tables.datasets.outerjoin(tables.scans))
+        return Counter(row.sample for row in self.rows(query))
 
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
         alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))
         measured = select(tables.scans.c.sample).where(tables.scans.c.kind == "sample")
-        return sorted({row.sample for query in (alone, measured) for row in self._all(query)})
+        return sorted({row.sample for query in (alone, measured) for row in self.rows(query)})
 
 
 def _entries() -> Select[Any]:
