@@ -50,6 +50,8 @@ class Pictures:
     """[seeds, scenes, rows, columns, 3] XYZ."""
     seconds: FloatArray
     """[seeds, scenes] that each took."""
+    cpu_seconds: FloatArray
+    """[seeds, scenes] of all processors together."""
     covered: BoolArray
     """[rows, columns] pixels that show nothing but the material."""
 
@@ -119,7 +121,7 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
         }
         (folder / "job.json").write_text(json.dumps(job))
         found = run_worker("analysis.render_worker", folder)
-        return Pictures(rgb_to_xyz(found["images"]), found["seconds"], found["covered"])
+        return Pictures(rgb_to_xyz(found["images"]), found["seconds"], found["cpu_seconds"], found["covered"])
 
 
 def compare(pictures: Pictures, first: int = 0, second: int = 1) -> Comparison:
