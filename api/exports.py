@@ -11,6 +11,7 @@ from api.bluesky_documents import bluesky_lines
 from api.derive import Export, write_bytes, write_text
 from api.package import write_package
 from api.products import usual_path, write_fits, write_mitsuba
+from api.render import write_plugin_scene
 from goniometer.bird_json import bird_json
 from goniometer.bird_metadata import bird_metadata, read_about
 from goniometer.dataset import Dataset
@@ -113,6 +114,11 @@ FORMATS: dict[str, Format] = {
         "a .bsdf file for Mitsuba 3",
         "bsdf",
         lambda store, dataset_id, path, _: write_mitsuba(store, dataset_id, path),
+    ),
+    "mitsuba-plugin": Format(
+        "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
+        "xml",
+        lambda store, dataset_id, path, _: write_plugin_scene(store, dataset_id, path),
     ),
 }
 """By the name that `goniometer export --to` takes."""
