@@ -172,9 +172,9 @@ def _visible_normals(lobe: FloatArray, theta_i: FloatArray, share: float) -> Flo
 def _warp(density: FloatArray, even: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Where samples on a grid fall under a bilinear density [rows, columns] of the unit square, and its value there.
 
-    The samples are all pairs of `even` [n] from 0 to 1 and its first `count`, the former the faster one: u [n * count, 2]
-    and the value [n * count]. The second coordinate is inverted through the marginal over rows first, then the first
-    within the row.
+    The samples are all pairs of `even` [n] from 0 to 1 and its first `count`, the former the faster one; found are
+    u [n * count, 2] and the value [n * count]. The second coordinate is inverted through the marginal over rows first,
+    then the first within the row.
     """
     rows = density.shape[0]
     along = _running_integral(density)

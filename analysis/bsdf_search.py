@@ -42,6 +42,9 @@ class Budget:
     """99th percentile of CIEDE2000 with brightness; 1 is about what an eye can tell."""
 
 
+USUAL_BUDGET = Budget()
+
+
 def wavelength_nodes(model: RenderedModel, budget: Budget) -> tuple[FloatArray, float]:
     """Few wavelengths, nm, between which a linear table keeps half of the budget, and the relative error they leave.
 
@@ -71,13 +74,16 @@ def wavelength_nodes(model: RenderedModel, budget: Budget) -> tuple[FloatArray, 
 
 def lobe_for(model: RenderedModel, wavelengths: FloatArray, budget: Budget) -> FloatArray:
     """The table ndf of a file with so small an error that the other tables may have the budget."""
-    return fine_lobe_table(
-        model.reflectance, model.alpha, wavelengths, _SHARE_OF_LOBE * budget.error, 4 * FAINTEST
-    )
+    return fine_lobe_table(model.reflectance, model.alpha, wavelengths, _SHARE_OF_LOBE * budget.error, 4 * FAINTEST)
 
 
 def smallest_grid(
-    model: RenderedModel, wavelengths: FloatArray, lobe: FloatArray, share: float, target: float, limit: int = LARGEST_SIZE
+    model: RenderedModel,
+    wavelengths: FloatArray,
+    lobe: FloatArray,
+    share: float,
+    target: float,
+    limit: int = LARGEST_SIZE,
 ) -> Grid:
     """The grid of the smallest tables whose 99th percentile of the relative error is below `target`.
 
@@ -114,9 +120,7 @@ def smallest_grid(
     if error(here) > target:
         return grid(min(known, key=lambda place: known[place]))
     while fewer := [
-        step
-        for step in ((here[0] - 1, here[1]), (here[0], here[1] - 1))
-        if min(step) >= 0 and error(step) <= target
+        step for step in ((here[0] - 1, here[1]), (here[0], here[1] - 1)) if min(step) >= 0 and error(step) <= target
     ]:
         here = min(fewer, key=size)
     return grid(here)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from analysis.bsdf_search import Budget
 from api.derive import Export
 from api.products import usual_path, write_fits, write_mitsuba
 from goniometer.errors import InputError
@@ -16,6 +17,13 @@ from goniometer.store import Store
 @dataclass(frozen=True)
 class Options:
     """What a person may say of an export; each format knows some of it."""
+
+    model: str | None = None
+    """Name of the fitted model."""
+    budget: float = Budget.error
+    """Relative error of a table that 99 of 100 directions keep."""
+    colour_budget: float = Budget.colour
+    """The same of its CIEDE2000."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +43,12 @@ class Format:
 FORMATS: dict[str, Format] = {
     "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
     "mitsuba": Format(
-        "a .bsdf file for Mitsuba 3",
+        "a .bsdf file for Mitsuba 3 and PBRT, with a scene that shows it",
         "bsdf",
-        lambda store, dataset_id, path, _: write_mitsuba(store, dataset_id, path),
+        lambda store, dataset_id, path, said: write_mitsuba(
+            store, dataset_id, path, said.model, Budget(said.budget, said.colour_budget)
+        ),
+        ("model", "budget", "colour_budget"),
     ),
 }
 """By the name that `goniometer export --to` takes."""
