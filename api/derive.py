@@ -121,7 +121,7 @@ def _with_scene(path: Path, write: Callable[[Path], BsdfReport]) -> tuple[BsdfRe
     export = write_file("mitsuba", path, lambda part: reports.append(write(part)))
     report = replace(reports[0], path=path)
     scene = vase_scene(bsdf_element("measured", f'<string name="filename" value={quoteattr(path.name)}/>'))
-    beside = [write_text("scene", path.with_suffix(".xml"), scene.xml)]
+    beside = [write_text("scene", path.with_name(f"{path.name.removesuffix('.bsdf')}.scene.xml"), scene.xml)]
     for name, content in scene.files.items():
         beside.append(write_bytes("mesh", path.with_name(name), content))
     shown = f"a scene that shows it: {beside[0].path.name}, with {', '.join(scene.files)}"
