@@ -111,7 +111,7 @@ def darkening(bsdf: MeasuredBsdf, alpha: float) -> FloatArray:
     """
     angles, light = file_albedo(bsdf, alpha)
     nodes = np.degrees(bsdf.theta_i)
-    between = [light[(angles >= low) & (angles <= high)].max(axis=0) for low, high in pairwise(nodes)]
+    between = [light[(angles >= low) & (angles <= high)].max(axis=0, initial=0) for low, high in pairwise(nodes)]
     around = np.pad(between, ((1, 1), (0, 0)))
     return np.asarray(1 / np.maximum(1, np.maximum(around[1:], around[:-1])))
 

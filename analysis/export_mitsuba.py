@@ -38,6 +38,8 @@ NOISIEST = 0.5
 """Relative standard deviation of a sample's weight beyond which a layout is not taken if the other one has less."""
 
 _TESTED_WAVELENGTHS = 48
+_PARTS_OF_BUDGET = (1.0, 0.85)
+"""For which tables are sought, in turn; the second where the colours or the other wavelengths want more than sought."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,12 @@ def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about
     fields: dict[str, dict[str, Tensor]] = {}
     limit = LARGEST_SIZE
     for layout, share in LAYOUTS.items():
-        grid = smallest_grid(whole, wavelengths, lobe, share, budget.error - spent, limit)
-        fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
-        tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
+        for part in _PARTS_OF_BUDGET:
+            grid, found = smallest_grid(whole, wavelengths, lobe, share, spent, part * budget.error, limit)
+            fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
+            tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
+            if not found or _within(tried[layout], budget):
+                break
         if _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
             limit = min(limit, tried[layout].size)
     layout = min(tried, key=lambda name: _rank(tried[name], budget))
