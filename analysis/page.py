@@ -36,3 +36,8 @@ def page(title: str, body: list[str]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style>\n</head>\n<body>\n<main>\n" + "\n".join(body) + "\n</main>\n</body>\n</html>\n"
     )
+
+
+def titled_page(title: str, body: list[str]) -> str:
+    """The same under its title."""
+    return page(title, [f"<h1>{escape(title)}</h1>", *body])

@@ -5,23 +5,17 @@ in ASCII; `about` is the text that the row holds. So nobody can change, remove o
 being wrong; only rows at the end can be cut off unnoticed, and not from who has noted the last hash before.
 """
 
-import getpass
 import hashlib
 import json
 import logging
 import math
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, insert, select, text
 
-from analysis.errors import AnalysisError
-from drivers.errors import DriverError
 from goniometer.database import Database
-from goniometer.errors import GoniometerError
 from goniometer.records import now
 from goniometer.service_tables import log as table
 
@@ -146,25 +140,3 @@ def _canonical(value: Mapping[str, Any]) -> str:
 
 def _entry(row: Row[Any]) -> Entry:
     return Entry(**row._mapping)
-
-
-@contextmanager
-def at_terminal(database: Database, action: str, **about: Any) -> Iterator[None]:
-    """Log what the command line does in the block, and how it ended."""
-    outcome = "interrupted"
-    try:
-        yield
-        outcome = "done"
-    except (GoniometerError, AnalysisError, DriverError) as error:
-        outcome = str(error)
-        raise
-    finally:
-        record(database, _account(), action, {**about, "outcome": outcome}, "cli")
-
-
-def _account() -> str:
-    """Name of the machine's account that this process runs in."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # in a container the account may have a number only
-        return str(os.getuid())

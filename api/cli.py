@@ -20,6 +20,7 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_export import register as add_export
@@ -35,6 +36,7 @@ from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
+from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
@@ -43,6 +45,8 @@ from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign_file import load_campaign
+from goniometer.dataset import kind_of
+from goniometer.dataset_file import last_file
 from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY
@@ -81,7 +85,7 @@ def demo(
     _fail_for(result.failures)
 
 
-@app.command(name="run")
+@app.command(name="run", cls=Logged)
 def run_command(
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
@@ -196,15 +200,21 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["datasets"] = list(store.datasets(entry["id"]))
     alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
     samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
-    imported, simulated = ([i for i in alone if origin in lineages[i]] for origin in ("imported", "simulated"))
+    of_kind: dict[str, list[tuple[int, object]]] = {"measured": [], "imported": [], "simulated": []}
+    for i, lineage in lineages.items():
+        kind = kind_of(lineage)
+        of_kind[kind].append((i, last_file(lineage) if kind == "measured" else lineage[kind]))
     if as_json:
         emit(
             {
                 "database": str(database),
                 "campaigns": store.campaigns(),
                 "scans": found,
-                "imported": [{"dataset": i, "sample": samples[i], "file": lineages[i]["imported"]} for i in imported],
-                "simulated": [{"dataset": i, "sample": samples[i], "how": lineages[i]["simulated"]} for i in simulated],
+                "measured_elsewhere": [
+                    {"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["measured"]
+                ],
+                "imported": [{"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["imported"]],
+                "simulated": [{"dataset": i, "sample": samples[i], "how": how} for i, how in of_kind["simulated"]],
             }
         )
         return
@@ -219,10 +229,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for dataset_id in alone:
-        origin = "imported" if dataset_id in imported else "simulated"
-        line = f"{origin}: {samples[dataset_id]}: {lineages[dataset_id][origin]}, dataset {dataset_id}"
-        out.print(line, markup=False, highlight=False)
+    for made, those in of_kind.items():
+        what = "measured elsewhere" if made == "measured" else made
+        for i, origin in those:
+            out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:
@@ -242,10 +252,10 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
 
 
 for _verb in ("pause", "resume", "abort"):
-    app.command(name=_verb)(_command(_verb))
+    app.command(name=_verb, cls=Logged)(_command(_verb))
 
 
-@app.command()
+@app.command(cls=Logged)
 def fit(
     dataset: DatasetName,
     model: Annotated[
@@ -276,6 +286,7 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
+add_access(app)
 add_characterisations(app)
 add_choose(app)
 add_export(app)
@@ -288,7 +299,7 @@ add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 
-@app.command()
+@app.command(cls=Logged)
 def report(
     dataset: DatasetName,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,

@@ -11,19 +11,25 @@ from analysis.bsdf_search import Budget
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.derive import Export
 from api.exports import FORMATS, Options, export_dataset
+from api.logged import Logged
 
 _ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
 
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="export")(export)
+    app.command(name="export", cls=Logged)(export)
 
 
 def export(
     dataset: DatasetName,
     to: Annotated[str, typer.Option(help=f"{_ABOUT}.", show_default=False)],
     path: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
+    raw: Annotated[bool, typer.Option("--raw", help="hdf5: with all raw exposures.")] = False,
+    about: Annotated[
+        Path | None,
+        typer.Option(help="bird: YAML or JSON file with the keys provenance, license, sample, environment, ..."),
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(help=f"mitsuba: {', '.join(BRDF_MODELS)}; the one fitted last unless given.", show_default=False),
@@ -39,7 +45,7 @@ def export(
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
-    said = Options(model=model, budget=budget, colour_budget=colour_budget)
+    said = Options(raw=raw, about=about, model=model, budget=budget, colour_budget=colour_budget)
     tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path, said), as_json=as_json)
 
 

@@ -7,6 +7,7 @@ import typer
 
 from api.arguments import DATABASE, DatabaseFile
 from api.settings import load_instrument
+from goniometer.errors import InputError
 
 
 def register(app: typer.Typer) -> None:
@@ -21,8 +22,14 @@ def register(app: typer.Typer) -> None:
         ] = None,
         host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
         port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes any.")] = 8000,
+        mount_by_itself: Annotated[
+            bool, typer.Option("--mount-by-itself", help="Simulated bench: lay samples on it without asking anybody.")
+        ] = False,
     ) -> None:
         """Serve REST, events and the pages of the bench until it is stopped."""
         from api.serve import serve as run  # noqa: PLC0415  (FastAPI takes half a second)
 
-        run(database, output, load_instrument(instrument) if instrument else None, host, port)
+        settings = load_instrument(instrument) if instrument else None
+        if settings is not None and mount_by_itself:
+            raise InputError("--mount-by-itself is for the simulated bench; leave it out, or leave out --instrument.")
+        run(database, output, settings, host, port, mounts_by_itself=mount_by_itself)

@@ -4,13 +4,19 @@ A format is one row of `FORMATS`: what it holds, the ending of its file, who wri
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from analysis.bsdf_search import Budget
-from api.derive import Export
+from api.derive import Export, write_bytes, write_text
 from api.products import usual_path, write_fits, write_mitsuba
+from goniometer.bird_json import bird_json
+from goniometer.bird_metadata import bird_metadata, read_about
+from goniometer.dataset import Dataset
+from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
+from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
 from goniometer.errors import InputError
+from goniometer.published_json import published_json
 from goniometer.store import Store
 
 
@@ -18,12 +24,19 @@ from goniometer.store import Store
 class Options:
     """What a person may say of an export; each format knows some of it."""
 
+    raw: bool = False
+    """Whether all raw exposures are written as well."""
+    about: Path | None = None
+    """YAML or JSON file that says what no database knows, see `goniometer.bird_metadata`."""
     model: str | None = None
     """Name of the fitted model."""
     budget: float = Budget.error
     """Relative error of a table that 99 of 100 directions keep."""
     colour_budget: float = Budget.colour
     """The same of its CIEDE2000."""
+
+
+Write = Callable[[Store, int, Path, Options], Export]
 
 
 @dataclass(frozen=True)
@@ -34,20 +47,54 @@ class Format:
     """What the file holds, for the help of the command."""
     ending: str
     """Of the file, without a dot."""
-    write: Callable[[Store, int, Path, Options], Export]
+    write: Write
     """Writes the dataset of an id to a path."""
     uses: tuple[str, ...] = ()
     """Names of the `Options` that it knows; another one is refused."""
 
 
+def _text(name: str, make: Callable[[Dataset], str]) -> Write:
+    """Writes the text that `make` gives of the dataset alone."""
+    return lambda store, dataset_id, path, _: write_text(name, path, make(store.dataset(dataset_id)))
+
+
+def _content(name: str, make: Callable[[Dataset], bytes]) -> Write:
+    """Writes the content that `make` gives of the dataset alone."""
+    return lambda store, dataset_id, path, _: write_bytes(name, path, make(store.dataset(dataset_id)))
+
+
+def _write_hdf5(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    raw = raw_of(store, dataset_id) if options.raw else None
+    return write_bytes("hdf5", path, dataset_to_hdf5(store.dataset(dataset_id), raw))
+
+
+def _write_paper(store: Store, dataset_id: int, path: Path, _: Options) -> Export:
+    text, notes = published_json(store.dataset(dataset_id))
+    return replace(write_text("paper", path, text), notes=tuple(notes))
+
+
+def _write_bird(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    said = {} if options.about is None else read_about(options.about)
+    metadata, unsaid = bird_metadata(store, dataset_id, said)
+    text, notes = bird_json(store.dataset(dataset_id), metadata)
+    return replace(write_text("bird", path, text), notes=(*notes, *unsaid))
+
+
+def _write_mitsuba(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    return write_mitsuba(store, dataset_id, path, options.model, Budget(options.budget, options.colour_budget))
+
+
 FORMATS: dict[str, Format] = {
     "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
+    "hdf5": Format("the dataset with uncertainty, flags and lineage, NeXus-style", "h5", _write_hdf5, ("raw",)),
+    "csv": Format("the same, one value a row", "csv", _text("csv", dataset_to_csv)),
+    "parquet": Format("the same, for data frames", "parquet", _content("parquet", dataset_to_parquet)),
+    "paper": Format("the JSON of points of the paper's authors", "json", _write_paper),
+    "bird": Format("universal BRDF JSON of the BiRD project", "brdf", _write_bird, ("about",)),
     "mitsuba": Format(
         "a .bsdf file for Mitsuba 3 and PBRT, with a scene that shows it",
         "bsdf",
-        lambda store, dataset_id, path, said: write_mitsuba(
-            store, dataset_id, path, said.model, Budget(said.budget, said.colour_budget)
-        ),
+        _write_mitsuba,
         ("model", "budget", "colour_budget"),
     ),
 }

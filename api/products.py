@@ -21,6 +21,7 @@ from api.derive import RENDERED_MODEL, Export, slug, write_analysis_report, writ
 from api.outcome import STATED
 from api.service import run_facts
 from goniometer.dataset import Dataset
+from goniometer.dataset_file import last_file
 from goniometer.errors import InputError
 from goniometer.store import Store
 
@@ -160,7 +161,8 @@ def _analysed(store: Store, dataset_id: int, models: tuple[str, ...]) -> SampleA
 def usual_path(dataset: Dataset, ending: str) -> Path:
     """A file in the present folder; raises `InputError` rather than write over what a sample was imported from."""
     path = Path(f"{slug(dataset.sample)}.{ending}")
-    if path.exists() and path.name.lower() == str(dataset.lineage.get("imported", "")).lower():
+    read_from = {str(dataset.lineage.get("imported", "")).lower(), last_file(dataset.lineage).lower()}
+    if path.exists() and path.name.lower() in read_from:
         raise InputError(f"{path} has the name of the file that was imported; name another one with --output.")
     return path
 

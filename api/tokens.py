@@ -89,17 +89,27 @@ def create_token(
     return text, token(database, made)
 
 
-def first_token(database: Database) -> str | None:
-    """Where nobody may use the service yet: a token of a new admin who is called "local"; else None."""
+def ensure_first_user(database: Database) -> bool:
+    """Where nobody may use the service yet, let in an admin called "local", whom only tokens let in; whether it did."""
     if all_users(database):
-        return None
+        return False
     add_user(database, FIRST_USER, "admin", None)
+    return True
+
+
+def first_token(database: Database) -> str | None:
+    """Where nobody may use the service yet: a token of a new admin; else None."""
+    if not ensure_first_user(database):
+        return None
     return create_token(database, FIRST_USER, "made at the first start")[0]
 
 
 def token(database: Database, token_id: int) -> Token:
     """One token; raises `NotInStore`."""
-    return _to_token(database.row(select(tokens).where(tokens.c.id == token_id), f"token {token_id}"))
+    found = database.rows(select(tokens).where(tokens.c.id == token_id))
+    if not found:
+        raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+    return _to_token(found[0])
 
 
 def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
@@ -110,9 +120,9 @@ def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
 
 def revoke_token(database: Database, token_id: int) -> None:
     """Make a token worthless and end the sessions that began with it; raises `NotInStore`."""
+    token(database, token_id)
     with database.writing() as connection:
-        if connection.execute(delete(tokens).where(tokens.c.id == token_id)).rowcount == 0:
-            raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+        connection.execute(delete(tokens).where(tokens.c.id == token_id))
 
 
 def token_caller(database: Database, text: str) -> Caller | None:
@@ -127,12 +137,18 @@ def token_caller(database: Database, text: str) -> Caller | None:
     return Caller(row.user, lower(row.role, row.owner_role), "token", row.id)
 
 
-def begin_session(database: Database, name: str, token_id: int | None = None) -> str:
-    """The secret of a new session of somebody who has shown their password, or this token of theirs."""
+def begin_session(database: Database, name: str, token_id: int | None = None, instead_of: str | None = None) -> str:
+    """The secret of a new session of somebody who has shown their password, or this token of theirs.
+
+    It takes the place of the one that their browser had before.
+    """
     secret = secrets.token_urlsafe(32)
     oldest, stale = (_text_of(datetime.now(UTC) - age) for age in (OLD, IDLE))
     with database.writing() as connection:
-        connection.execute(delete(sessions).where((sessions.c.created < oldest) | (sessions.c.used < stale)))
+        over = (
+            (sessions.c.created < oldest) | (sessions.c.used < stale) | (sessions.c.hash == _digest(instead_of or ""))
+        )
+        connection.execute(delete(sessions).where(over))
         row = {"hash": _digest(secret), "user": name, "token_id": token_id, "created": now(), "used": now()}
         connection.execute(sessions.insert().values(**row))
     return secret

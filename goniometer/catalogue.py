@@ -1,5 +1,6 @@
 """Which datasets there are in the database, told without reading their numbers."""
 
+from collections import Counter
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -9,9 +10,8 @@ from sqlalchemy import Row, Select, func, or_, select
 from goniometer import tables
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.database import Database
-from goniometer.dataset import Dataset, Flag
+from goniometer.dataset import Dataset, Flag, Kind
 
-DatasetKind = Literal["measured", "simulated", "imported"]
 Order = Literal["newest", "oldest"]
 
 
@@ -24,7 +24,7 @@ class Entry:
     """None where it was imported or simulated."""
     sample: str
     """Its name, with the number of the repeat where a campaign measured it several times."""
-    kind: DatasetKind
+    kind: Kind
     points: int
     incident_angles: int
     shortest: float
@@ -55,7 +55,7 @@ class Wanted:
     sample: str | None = None
     """Name of the sample, with or without the number of the repeat, whatever the case of its letters."""
     campaign_id: int | None = None
-    kind: DatasetKind | None = None
+    kind: Kind | None = None
     flag: Flag | None = None
     """Those with at least one point of this flag."""
     since: str | None = None
@@ -69,7 +69,7 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
     source = dataset.lineage.get("recalibrated_from")
     return {
         "sample": dataset.sample,
-        "kind": kind_of(dataset.lineage),
+        "kind": dataset.kind,
         "points": dataset.theta_in.size,
         "incident_angles": int(incidence_groups(dataset.theta_in, SAME_INCIDENCE).max(initial=-1)) + 1,
         "shortest": float(dataset.wavelengths[0]),
@@ -80,11 +80,6 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
         "recalibrated_from": source if isinstance(source, int) else None,
         "content_hash": dataset.content_hash,
     }
-
-
-def kind_of(lineage: dict[str, object]) -> DatasetKind:
-    """Where a dataset comes from, by its lineage."""
-    return "simulated" if "simulated" in lineage else "imported" if "imported" in lineage else "measured"
 
 
 class Catalogue(Database):
@@ -114,6 +109,18 @@ class Catalogue(Database):
         if after is not None:
             query = query.where(here.id < after if newest else here.id > after)
         return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+
+    def recalibrations(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets that were made anew from this one, oldest first."""
+        here = tables.datasets.c
+        query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
+        return [row.id for row in self.rows(query)]
+
+    def dataset_counts(self) -> dict[str, int]:
+        """How many datasets there are by the name of their sample, without the number of a repeat."""
+        name = func.coalesce(tables.scans.c.sample, tables.datasets.c.sample)
+        query = select(name.label("sample")).select_from(tables.datasets.outerjoin(tables.scans))
+        return Counter(row.sample for row in self.rows(query))
 
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""

@@ -1,20 +1,61 @@
 """The web application of a running service."""
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from anyio import CapacityLimiter
 from fastapi import FastAPI
 
 from api.live import Live
-from api.web import events, operation
+from api.web import (
+    analyses,
+    calibration,
+    campaigns,
+    datasets,
+    events,
+    fits,
+    imports,
+    instrument,
+    jobs,
+    log,
+    login,
+    operation,
+    queue,
+    samples,
+    scans,
+    tokens,
+    users,
+)
 from api.web.access import LOCAL, Access
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
-ROUTERS = (operation.router, events.router)
+LARGEST_BODY = 4 << 20
+"""Octets of a request; endpoints that take files allow more."""
+
+ROUTERS = (
+    operation.router,
+    events.router,
+    instrument.router,
+    login.router,
+    users.router,
+    tokens.router,
+    log.router,
+    campaigns.router,
+    queue.router,
+    scans.router,
+    imports.router,  # before what has a number in the same place
+    datasets.router,
+    samples.router,
+    fits.router,
+    calibration.router,
+    analyses.router,
+    jobs.router,
+)
 
 
 def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
@@ -23,7 +64,12 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         live.events.attach(asyncio.get_running_loop())
-        yield
+        live.worker.start()
+        threading.Thread(target=live.datasets.warm_up, name="warm-up", daemon=True).start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(live.worker.close)
 
     app = _Application(
         title="goniometer",
@@ -33,8 +79,10 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
+        max_body_size=LARGEST_BODY,
     )
-    app.state.live = live
+    app.state.live, app.state.access = live, access
+    app.state.logins = CapacityLimiter(2)
     install(app)
     app.add_middleware(Gate, store=live.store, access=access)
     for router in ROUTERS:

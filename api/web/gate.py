@@ -26,8 +26,12 @@ from goniometer.errors import StoreError
 
 SAFE = {"GET", "HEAD", "OPTIONS"}
 LOGIN = "/api/login"
+_PERSONAL = (LOGIN, "/api/me", "/api/users", "/api/tokens")
+"""Below these, bodies hold secrets and are never logged, not even where a key is misspelt."""
+_CHANGES_NOTHING = {"/api/campaigns/validate", "/api/campaigns/preview"}
+"""A page asks for these while somebody types; the log would hold little else."""
 _NOTED = 4096
-"""Bytes of a body that the log may hold."""
+"""Bytes of another body that the log may hold."""
 log = logging.getLogger(__name__)
 
 
@@ -59,7 +63,7 @@ class Gate:
                 await self._log(request, response.status_code, b"")
             await response(scope, receive, send)
             return
-        if request.method in SAFE:
+        if request.method in SAFE or request.url.path in _CHANGES_NOTHING:
             await self._app(scope, receive, send)
         else:
             await self._watched(request, receive, send)
@@ -120,14 +124,16 @@ class Gate:
     async def _log(self, request: Request, status: int, body: bytes) -> None:
         """Note what somebody did before they learn how it went."""
         caller: Caller | None = request.state.caller
-        if request.url.path != LOGIN and caller is not None:
-            request.state.about.update(_told(request, body))
-        elif caller is None and "login" not in request.state.about:
-            return  # it waits for its turn, and would otherwise fill the log
-        route = request.scope.get("route")
-        action = f"{request.method} {getattr(route, 'path', request.url.path[:200])}"
-        about: dict[str, Any] = {"path": request.url.path[:500], "status": status, **request.state.about}
-        about["from"] = request.client.host if request.client else ""
+        if caller is None and "login" not in request.state.about:
+            return  # somebody who must wait for the next login would otherwise fill the log
+        path = request.url.path
+        action = f"{request.method} {getattr(request.scope.get('route'), 'path', path[:200])}"
+        about: dict[str, Any] = {"status": status, "from": request.client.host if request.client else ""}
+        if not action.endswith(path):
+            about["path"] = path[:500]
+        if not path.startswith(_PERSONAL):
+            about |= _sent(request, body)
+        about |= request.state.about
         who = "nobody" if caller is None else caller.name
         via: Via = "nobody" if caller is None else caller.via
         try:
@@ -137,7 +143,7 @@ class Gate:
             log.exception("%s by %s is not in the log", action, who)
 
 
-def _told(request: Request, body: bytes) -> dict[str, Any]:
+def _sent(request: Request, body: bytes) -> dict[str, Any]:
     """What the log holds of the query and of a short JSON body."""
     found: dict[str, Any] = {}
     if request.url.query:
