@@ -64,7 +64,6 @@ WHO_MAY: dict[str, Role | None] = {
     "GET /api/scans/{number}/points": "viewer",
     "GET /api/points/{number}": "viewer",
     "GET /api/exposures/{number}": "viewer",
-    "GET /metrics": None,
     "POST /api/uploads": "operator",
     "POST /api/datasets/import": "operator",
     "GET /api/datasets": "viewer",
@@ -103,7 +102,6 @@ WHO_MAY: dict[str, Role | None] = {
     "GET /api/jobs/{number}/page": "viewer",
     "POST /api/jobs/{number}/again": "operator",
     "DELETE /api/jobs/{number}": "operator",
-    "GET /{path:path}": None,
 }
 """The least role that may call an endpoint; None: everybody."""
 
