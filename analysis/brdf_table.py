@@ -11,25 +11,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky
 
-from analysis.colour import COLOUR_RANGE, observer, xyz_weights
+from analysis.brdf_draws import DARKEST, DRAWS, drawn_errors
+from analysis.colour import COLOUR_RANGE, xyz_weights
 from analysis.directions import Directions, in_plane, round_aperture, through_aperture
 from analysis.distributions import lobe, ndf
 from drivers.arrays import FloatArray
-from goniometer.between import Between, interpolate
+from goniometer.between import interpolate
 from goniometer.dataset import Dataset
 from goniometer.geometry import LARGEST_ANGLE
-from goniometer.kernel import coordinates, covariance, variance
 
 ROWS, COLUMNS = 72, 31
 """Nodes in theta_h, dense in the lobe, and in theta_d."""
 
-DRAWS = 40
-"""Of what the measurement does not know."""
-
 _MARGIN = 12.0
-_DARKEST = 1e-7
 
 
 @dataclass(frozen=True)
@@ -64,7 +59,8 @@ class Reference:
 
     table: BrdfTable
     draws: FloatArray
-    """[draws, rows, columns] errors of ln f that are as probable as the measurement's uncertainty says."""
+    """[draws, rows, columns, 3] errors of ln X, ln Y and ln Z that are as probable as the measurement's uncertainty
+    says."""
 
 
 def visibility(directions: Directions, alpha: float | None) -> FloatArray:
@@ -112,7 +108,7 @@ def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 
     read = interpolate(seen, in_angle, out_angle)
     directions = in_plane(in_angle, out_angle)
     masking = alpha if metal else None
-    brdf = np.maximum(read.brdf, _DARKEST)
+    brdf = np.maximum(read.brdf, DARKEST)
     if metal and dataset.aperture > 0:
         aperture = round_aperture(dataset.aperture, rings=12, spokes=24)
         through = lobe(through_aperture(in_angle, out_angle, aperture), alpha) @ aperture.weights
@@ -120,7 +116,7 @@ def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 
     shape = (theta_h.size, theta_d.size)
     log_q = np.log(brdf / visibility(directions, masking)[:, None])
     table = BrdfTable(theta_h, theta_d, seen.wavelengths, log_q.reshape(*shape, -1), masking)
-    return Reference(table, _draws(read, seed).reshape(DRAWS, *shape))
+    return Reference(table, drawn_errors(seen, read, seed).reshape(DRAWS, *shape, 3))
 
 
 def folded(theta_h: FloatArray, theta_d: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -152,24 +148,3 @@ def _visible(dataset: Dataset) -> Dataset:
     stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
     bands = np.union1d(bands[::stride], bands[-1:])
     return dataset.at_wavelengths(bands)
-
-
-def _draws(read: Between, seed: int) -> FloatArray:
-    """[draws, nodes] errors of ln f, as of all wavelengths together, weighted as the eye does.
-
-    What comes from reading between the points, and from their noise, is alike in neighbouring directions by the
-    covariance of the process; what the wavelengths share of the measurement is one number for all directions.
-    """
-    luminous = observer(read.wavelengths)[:, 1]
-    luminous = luminous / luminous.sum()
-    level = np.maximum(read.brdf, _DARKEST)
-    own, total = ((np.minimum(u / level, 1.0)) @ luminous for u in (read.u, read.u_total))
-    shared = np.sqrt(np.maximum(total**2 - own**2, 0.0))
-    at = coordinates(read.theta_in, read.theta_out, read.shape.lobe)
-    sigma = np.sqrt(variance(at, read.shape.scales))
-    correlation = covariance(at, at, read.shape.scales) / np.outer(sigma, sigma)
-    correlation[np.diag_indices_from(correlation)] += 1e-6
-    factor = cholesky(correlation, lower=True, overwrite_a=True, check_finite=False)
-    random = np.random.default_rng(seed)
-    fields = random.standard_normal((DRAWS, own.size)) @ factor.T
-    return np.asarray(own * fields + shared * random.standard_normal((DRAWS, 1)))

@@ -47,7 +47,7 @@ def _table(reflectance: Callable[[Directions, FloatArray], FloatArray], alpha: f
     in_angle, out_angle = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
     values = reflectance(in_plane(in_angle, out_angle), NODES).reshape(theta_h.size, theta_d.size, -1)
     table = BrdfTable(theta_h, theta_d, NODES, np.log(values), None)
-    return Reference(table, np.zeros((1, theta_h.size, theta_d.size)))
+    return Reference(table, np.zeros((1, theta_h.size, theta_d.size, 3)))
 
 
 def _tracer(scene: Scene) -> Callable[[int], Vertices]:
