@@ -10,7 +10,7 @@ from analysis.brdf_fit import form_of
 from analysis.brdf_table import BrdfTable
 from analysis.directions import Directions
 from analysis.distributions import Distribution, lobe
-from analysis.fresnel import Conductor
+from analysis.fresnel import Conductor, fresnel_dielectric
 from analysis.microfacet import Form, brdf
 from analysis.results import Albedo, ModelFit
 from analysis.vertices import Reflectance, Vertices
@@ -73,6 +73,21 @@ class Microfacet:
         if self.albedo is not None:
             diffuse = np.interp(wavelengths, self.albedo.wavelengths, self.albedo.values)
         return brdf(self.form, directions, wavelengths, self.parameters, diffuse)
+
+
+@dataclass(frozen=True)
+class ThroughInterface:
+    """A dielectric whose diffuse light has been refracted twice, and is the less the more is reflected."""
+
+    plain: Microfacet
+    """The same with Lambertian diffuse light."""
+
+    def __call__(self, directions: Directions, wavelengths: FloatArray) -> FloatArray:
+        """BRDF [vertices, wavelengths], 1/sr."""
+        whole, surface = (each(directions, wavelengths) for each in (self.plain, replace(self.plain, albedo=None)))
+        eta = float(self.plain.parameters[1])
+        into, out = (1 - fresnel_dielectric(np.maximum(c, 0.0), eta) for c in (directions.cos_i, directions.cos_o))
+        return np.asarray(surface + (into * out)[:, None] * (whole - surface))
 
 
 Model = Lambert | Tinted | Microfacet | BrdfTable
@@ -182,6 +197,17 @@ def _surest_lobe(fits: tuple[ModelFit, ...]) -> ModelFit:
 def roughness(fits: tuple[ModelFit, ...]) -> float:
     """About how rough the material is, by the fit that knows it best."""
     return _surest_lobe(fits).value("alpha")
+
+
+def guides(fits: tuple[ModelFit, ...]) -> tuple[Reflectance, ...]:
+    """How a table of a dielectric may be continued out of the plane: its model without shift, what is scattered below
+    the surface being Lambertian, or lit and seen through the interface. None for a metal."""
+    surest = _surest_lobe(fits)
+    if surest.albedo is None:
+        return ()
+    form = form_of("dielectric", None, surest.distribution or "ggx")
+    plain = Microfacet(form, np.array([surest.value("alpha"), surest.value("eta")]), surest.albedo)
+    return plain, ThroughInterface(plain)
 
 
 def _unknown_lobe(fit: ModelFit) -> tuple[str, ...]:
