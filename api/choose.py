@@ -10,7 +10,8 @@ from analysis.choose import NODES, Choice, Judged, choose, least_directions
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
 from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, roughness
-from analysis.mitsuba_scene import Material, read_mitsuba, trace_mitsuba, write_mitsuba
+from analysis.mitsuba_run import Material, trace_mitsuba
+from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
 from analysis.scene import load_scene
 from analysis.scene_rays import trace
 from analysis.verify import Verification, verify

@@ -22,19 +22,22 @@ from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
+from api.cli_export import register as add_export
+from api.cli_export import tell_export
 from api.cli_import import register as add_import
 from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
+from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
 from api.cli_tradeoff import register as add_tradeoff
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
-from api.derive import Export, slug, write_text
+from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
-from api.products import Format, HowToFit, export_dataset, fit_dataset, fit_lines, report_dataset
+from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
@@ -273,24 +276,13 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
-@app.command()
-def export(
-    dataset: DatasetName,
-    to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3.")],
-    path: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
-    database: DatabaseFile = DATABASE,
-    as_json: AsJson = False,
-) -> None:
-    """Write a dataset's fits, or its fitted model for a renderer, to a file."""
-    store = existing(database)
-    _tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path), as_json=as_json)
-
-
 add_characterisations(app)
 add_choose(app)
+add_export(app)
 add_import(app)
 add_photos(app)
 add_quality(app)
+add_serve(app)
 add_stability(app)
 add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
@@ -305,14 +297,7 @@ def report(
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
     store = existing(database)
-    _tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
-
-
-def _tell_export(written: Export, *, as_json: bool) -> None:
-    if as_json:
-        emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256})
-    else:
-        Console().print(f"Wrote {written.path}", markup=False, highlight=False)
+    tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
 
 
 class _Warnings(logging.Handler):

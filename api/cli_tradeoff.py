@@ -13,6 +13,7 @@ from analysis.tradeoff_figure import tradeoff_chapter
 from analysis.tradeoff_fits import fit_charts
 from analysis.tradeoff_models import model_charts
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
+from api.choose import mitsuba_is_there
 from api.simulations import Page, write_page
 from api.terminal import screen
 from drivers.arrays import FloatArray
@@ -86,7 +87,7 @@ def _charts(kind: Kind, own: Dataset | None, sample: str, surface: str, dielectr
     if kind in {Kind.FITS, Kind.MODELS}:
         datasets, known = ([own], None) if own is not None else drawn(sample, material(sample), rounds)
         if kind is Kind.MODELS:
-            return model_charts(datasets[0], load_conductor(), dielectric, rounds, _tell)
+            return model_charts(datasets[0], load_conductor(), dielectric, rounds, _tell, rendering=mitsuba_is_there())
         return fit_charts(datasets, load_conductor(), known, rounds, _tell)
     if kind is Kind.SCANS:
         what = material(sample) if own is None else tabulated(own)

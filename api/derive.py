@@ -7,7 +7,7 @@ import re
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from analysis.analyse import analyse
@@ -36,6 +36,10 @@ class Export:
     """"json", "mitsuba", "report", "material", ..."""
     path: Path
     sha256: str
+    notes: tuple[str, ...] = ()
+    """What a person should know of it, whole sentences."""
+    facts: dict[str, object] = field(default_factory=dict)
+    """The same for a program, by name."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
 from analysis.distributions import Distribution
@@ -14,14 +14,13 @@ from analysis.least_squares import Engine
 from analysis.loew import Weight, weight_of
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
+from analysis.results import SampleAnalysis
 from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
 from goniometer.dataset import Dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
-
-Format = Literal["json", "mitsuba"]
 
 
 @dataclass(frozen=True)
@@ -129,28 +128,25 @@ def _known(difference: float | None) -> str:
     return "not known" if difference is None else f"{difference:.2f}"
 
 
-def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Path | None) -> Export:
-    """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder.
+def write_fits(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write a dataset's fits as JSON, with the metal, distribution, weight and engine of its last fit."""
+    analysis = _analysed(store, dataset_id, last_way(store, dataset_id))
+    return write_text("json", path, analysis_to_json(analysis, analysis.conductor))
 
-    Both are of the metal, distribution, weight and engine with which it was last fitted; for Mitsuba the distribution
-    is GGX.
-    """
-    dataset = store.dataset(dataset_id)
-    target = path or _usual_path(dataset, "json" if file_format == "json" else "bsdf")
-    how = last_way(store, dataset_id)
-    if file_format == "mitsuba":
-        how = replace(how, distribution="ggx")
-    conductor = load_conductor(*conductor_name(how.conductor))
-    analysis = analyse(dataset, conductor, AT_THE_END_OF_A_SCAN, how.engine, how.distribution, how.weight)
-    if file_format == "json":
-        export = write_text("json", target, analysis_to_json(analysis, conductor))
-    else:
-        _, export = write_bsdf(target, analysis)
-    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+
+def write_mitsuba(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write a dataset's fitted model for Mitsuba: as `write_fits`, but with the distribution GGX."""
+    _, export = write_bsdf(path, _analysed(store, dataset_id, replace(last_way(store, dataset_id), distribution="ggx")))
     return export
 
 
-def _usual_path(dataset: Dataset, ending: str) -> Path:
+def _analysed(store: Store, dataset_id: int, how: HowToFit) -> SampleAnalysis:
+    conductor = load_conductor(*conductor_name(how.conductor))
+    dataset = store.dataset(dataset_id)
+    return analyse(dataset, conductor, AT_THE_END_OF_A_SCAN, how.engine, how.distribution, how.weight)
+
+
+def usual_path(dataset: Dataset, ending: str) -> Path:
     """A file in the present folder; raises `InputError` rather than write over what a sample was imported from."""
     path = Path(f"{slug(dataset.sample)}.{ending}")
     if path.exists() and path.name.lower() == str(dataset.lineage.get("imported", "")).lower():
@@ -167,7 +163,7 @@ def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
     dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
-    target = path or _usual_path(dataset, "html")
+    target = path or usual_path(dataset, "html")
     others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
     models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
     how = last_way(store, dataset_id)

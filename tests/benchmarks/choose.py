@@ -22,7 +22,8 @@ from analysis.distributions import g1, ndf
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.ladder import METAL_FITS, roughness
-from analysis.mitsuba_scene import Material, MitsubaScene, read_mitsuba, trace_mitsuba, write_mitsuba
+from analysis.mitsuba_run import Material, trace_mitsuba
+from analysis.mitsuba_scene import MitsubaScene, read_mitsuba, write_mitsuba
 from analysis.models import cook_torrance, cosine_slope, shift, theta_m
 from analysis.results import ModelFit
 from analysis.scene import Scene
