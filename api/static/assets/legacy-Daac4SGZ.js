@@ -1,0 +1,1 @@
+import{G as e}from"./index-zQ6KzFGr.js";e();
