@@ -110,6 +110,8 @@ async function readBench(): Promise<void> {
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
     live.problem = error;
+    // the process that drives the bench may still be starting
+    if (live.connected) setTimeout(() => void readBench(), 1500);
   }
 }
 

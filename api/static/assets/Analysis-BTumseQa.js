@@ -1,1 +1,0 @@
-import{E as e,T as t}from"./index-zQ6KzFGr.js";import"./legacy-Daac4SGZ.js";var n=e(`<h1>Analysis</h1>`);function r(e){var r=n();t(e,r)}export{r as default};

@@ -1,1 +1,0 @@
-import{G as e}from"./index-zQ6KzFGr.js";e();
