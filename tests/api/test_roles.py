@@ -18,6 +18,8 @@ from tests.api.service_client import Client
 
 WHO_MAY: dict[str, Role | None] = {
     "GET /health": None,
+    "GET /metrics": None,
+    "GET /{path:path}": None,
     "GET /api/openapi.json": None,
     "POST /api/login": None,
     "POST /api/logout": "viewer",
@@ -62,7 +64,6 @@ WHO_MAY: dict[str, Role | None] = {
     "GET /api/scans/{number}/points": "viewer",
     "GET /api/points/{number}": "viewer",
     "GET /api/exposures/{number}": "viewer",
-    "GET /metrics": None,
     "POST /api/uploads": "operator",
     "POST /api/datasets/import": "operator",
     "GET /api/datasets": "viewer",
@@ -101,7 +102,6 @@ WHO_MAY: dict[str, Role | None] = {
     "GET /api/jobs/{number}/page": "viewer",
     "POST /api/jobs/{number}/again": "operator",
     "DELETE /api/jobs/{number}": "operator",
-    "GET /{path:path}": None,
 }
 """The least role that may call an endpoint; None: everybody."""
 
