@@ -3,8 +3,8 @@
     python -m tests.api.nursery
 
 Loading takes longer than most commands that tests give. Each line on stdin is a job, a JSON object of the arguments,
-the folder, the files for stdin, stdout and stderr and the seconds that it may take; the answer is a line with the exit code,
-or "null" where it took longer. The children have a session of their own, so that what they start ends with them.
+the folder, the files for stdin, stdout and stderr and the seconds that it may take; the answer is a line with the exit
+code, or "null" where it took longer. The children have a session of their own, so that what they start ends with them.
 """
 
 import gc

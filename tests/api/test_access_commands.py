@@ -58,8 +58,12 @@ def test_a_token_of_the_command_line_works_and_what_was_done_is_in_the_log(cli: 
     assert [each["label"] for each in json.loads(listed.stdout)["tokens"]] == ["night"]
     assert made["token"] not in listed.stdout
     (bench / "curves.csv").write_text(CURVES)
-    done = cli("import", "curves.csv", "--relative-uncertainty", 0.02, "--relative-noise", 0.001, "--aperture", 0, "--quantity", "brdf",
-               "--angle-uncertainty", 0.1, "--angles", "deg", "--wavelengths", "nm", cwd=bench)  # fmt: skip
+    stated = {
+        "relative-uncertainty": 0.02, "relative-noise": 0.001, "aperture": 0, "angle-uncertainty": 0.1,
+        "quantity": "brdf", "angles": "deg", "wavelengths": "nm",
+    }  # fmt: skip
+    options = [each for name, value in stated.items() for each in (f"--{name}", value)]
+    done = cli("import", "curves.csv", *options, cwd=bench)
     assert done.returncode == 0, done.stderr
     assert cli("user", "disable", "bert", cwd=bench).returncode == 0
     found = logged(bench)[before:]
