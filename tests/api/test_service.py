@@ -44,7 +44,8 @@ def exposures(file: Path) -> list[tuple[Any, ...]]:
     """All raw spectra of points, with where they were taken."""
     with sqlite3.connect(file) as database:
         return database.execute(
-            "SELECT points.scan_id, number, integration_time, counts FROM exposures JOIN points ON points.id = point_id "
+            "SELECT points.scan_id, number, integration_time, counts "
+            "FROM exposures JOIN points ON points.id = point_id "
             "ORDER BY points.scan_id, number, exposures.id"
         ).fetchall()
 
