@@ -34,7 +34,7 @@ class Arguments(BaseModel):
 class OfDataset(Arguments):
     """A job on one dataset."""
 
-    dataset: int = Field(ge=1, description="Id of the dataset.")
+    dataset: int = Field(ge=1, lt=2**63, description="Id of the dataset.")
 
     def check(self, store: Store) -> None:
         """Raise `NotInStore` where there is no such dataset."""
@@ -146,7 +146,9 @@ class TradeoffArguments(Arguments):
     """Chart speed against accuracy on the machine of the service."""
 
     kinds: list[ChartKind] = Field(default=list(ChartKind), min_length=1)
-    dataset: int | None = Field(default=None, ge=1, description="Chart this; null: what the simulated bench makes.")
+    dataset: int | None = Field(
+        default=None, ge=1, lt=2**63, description="Chart this; null: what the simulated bench makes."
+    )
     sample: str = Field(default="sample-4", description="Material of the simulated bench, whose truth is known.")
     surface: str = Field(default="sample-1", description="Surface of the simulations.")
     dielectric: bool = Field(default=False, description="Models: take the ladder of a dielectric.")

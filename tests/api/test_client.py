@@ -10,13 +10,13 @@ import h5py
 import httpx
 import numpy as np
 import pytest
-from tests.served import Served, served
 
 from api import calls
 from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
 from api.errors import Conflict, Unauthorised
 from api.job_arguments import ExportAsked, HowAsked, ImportAsked
 from goniometer.errors import InputError, NotInStore
+from tests.served import Served, served
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "example_campaign.py"
 
