@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.choose import p95_of, without_noise
+from analysis.colour import rgb_to_xyz
 from analysis.errors import RenderError
 from analysis.mitsuba_run import run_worker
 from analysis.vase_scene import SceneFiles
@@ -24,7 +25,7 @@ VARIANTS = ("llvm_ad_spectral", "scalar_spectral")
 SEEDS = (1, 2)
 """Every scene is rendered so many times; all materials with the same random numbers."""
 
-_SHAPE = "vase"
+_SHAPE, _SCENE = "vase", "scene.xml"
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Pictures:
     """[seeds, scenes, rows, columns, 3] XYZ."""
     seconds: FloatArray
     """[seeds, scenes] that each took."""
+    cpu_seconds: FloatArray
+    """[seeds, scenes] of all processors together."""
     covered: BoolArray
     """[rows, columns] pixels that show nothing but the material."""
 
@@ -102,20 +105,23 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
     """Pictures of scenes of one size, rendered by turns. Raises `RenderError` where Mitsuba is not there or fails."""
     with tempfile.TemporaryDirectory(prefix="goniometer-") as name:
         folder = Path(name)
+        # each in a folder of its own, for files of two scenes may have one name
         for i, scene in enumerate(scenes):
-            (folder / f"{i}.xml").write_text(scene.xml, encoding="utf-8")
+            own = folder / str(i)
+            own.mkdir()
+            (own / _SCENE).write_text(scene.xml, encoding="utf-8")
             for file, content in scene.files.items():
-                (folder / file).write_bytes(content)
+                (own / file).write_bytes(content)
         job = {
             "variant": variant.name,
-            "scenes": [f"{i}.xml" for i in range(len(scenes))],
+            "scenes": [f"{i}/{_SCENE}" for i in range(len(scenes))],
             "samples": samples,
             "seeds": seeds,
             "shape": _SHAPE,
         }
         (folder / "job.json").write_text(json.dumps(job))
         found = run_worker("analysis.render_worker", folder)
-        return Pictures(found["images"], found["seconds"], found["covered"])
+        return Pictures(rgb_to_xyz(found["images"]), found["seconds"], found["cpu_seconds"], found["covered"])
 
 
 def compare(pictures: Pictures, first: int = 0, second: int = 1) -> Comparison:

@@ -25,7 +25,7 @@ _COVERAGE_SAMPLES = 16
 
 
 def _picture(scene: Any, samples: int, seed: int) -> FloatArray:
-    """[rows, columns, 3] XYZ."""
+    """[rows, columns, 3] linear BT.709."""
     columns, rows = scene.sensors()[0].film().crop_size()
     at_once = max(min(samples, _AT_ONCE // (rows * columns)), 1)
     passes = -(-samples // at_once)
@@ -57,20 +57,21 @@ def main(folder: Path) -> None:
     scenes = [mi.load_file(str(folder / name)) for name in job["scenes"]]
     for scene in scenes:
         _picture(scene, 1, 0)  # a vectorised variant compiles it now
-    images, seconds = [], []
+    shape = (len(job["seeds"]), len(scenes))
+    images: list[list[Any]] = [[None] * shape[1] for _ in range(shape[0])]
+    seconds, cpu_seconds = np.empty(shape), np.empty(shape)
     for turn, seed in enumerate(job["seeds"]):
-        row: list[tuple[FloatArray, float]] = [(np.empty(0), 0.0)] * len(scenes)
-        order = range(len(scenes)) if turn % 2 == 0 else reversed(range(len(scenes)))
-        for i in order:
-            start = time.perf_counter()
-            image = _picture(scenes[i], job["samples"], seed)
-            row[i] = image, time.perf_counter() - start
-        images.append([image for image, _ in row])
-        seconds.append([taken for _, taken in row])
+        order = range(len(scenes))
+        for i in order if turn % 2 == 0 else reversed(order):
+            start, cpu_start = time.perf_counter(), time.process_time()
+            images[turn][i] = _picture(scenes[i], job["samples"], seed)
+            seconds[turn, i] = time.perf_counter() - start
+            cpu_seconds[turn, i] = time.process_time() - cpu_start
     np.savez(
         folder / "out.npz",
         images=np.array(images),
-        seconds=np.array(seconds),
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
         covered=_covered(scenes[0], job["shape"]),
     )
 

@@ -1,5 +1,6 @@
 """What the writer of a `.bsdf` file has to know of a model of the ladder: its lobe, its wavelengths, its words."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,8 @@ class RenderedModel:
     reflectance: Reflectance
     alpha: float
     """Roughness of its lobe; 1 where it has none."""
+    base: float
+    """About what is alike in all directions, 1/sr, as a mean over the wavelengths."""
     wavelengths: tuple[float, float]
     """Between which it is known and renderers ask, nm."""
     words: str
@@ -43,19 +46,23 @@ def rendered(model: Model) -> RenderedModel:
     """Any model of the ladder; raises `OutOfRange` for one that is not known from 400 to 700 nm."""
     match model:
         case Lambert():
-            return RenderedModel(model, 1.0, _range(model.wavelengths), "Lambertian: albedo / pi in all directions")
+            base = float(model.albedo.mean()) / math.pi
+            return RenderedModel(
+                model, 1.0, base, _range(model.wavelengths), "Lambertian: albedo / pi in all directions"
+            )
         case Tinted():
             words = f"A lobe of one colour, {_SURFACES[model.distribution]} with alpha = {model.alpha:.17g}"
-            return RenderedModel(model, model.alpha, _range(model.wavelengths), words)
+            return RenderedModel(model, model.alpha, 0.0, _range(model.wavelengths), words)
         case BrdfTable():
             words = "A table of the measurement by theta_h and theta_d of the half vector"
-            return RenderedModel(model, model.alpha or 1.0, _range(model.wavelengths), words)
+            base = 0.0 if model.alpha else float(np.exp(model.log_q).mean(axis=-1).min())
+            return RenderedModel(model, model.alpha or 1.0, base, _range(model.wavelengths), words)
         case Microfacet():
-            known = model.form.conductor.wavelengths if model.form.conductor else None
-            if known is None and model.albedo is not None:
-                known = model.albedo.wavelengths
+            base, known = 0.0, model.form.conductor.wavelengths if model.form.conductor else None
+            if model.albedo is not None:
+                base, known = float(model.albedo.values.mean()) / math.pi, model.albedo.wavelengths
             span = SPECTRAL_RANGE if known is None else _range(known)
-            return RenderedModel(model, float(model.parameters[0]), span, _words(model.form, model.parameters))
+            return RenderedModel(model, float(model.parameters[0]), base, span, _words(model.form, model.parameters))
 
 
 def of_fit(fit: ModelFit, conductor: Conductor) -> Microfacet:

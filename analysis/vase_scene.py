@@ -46,7 +46,7 @@ class SceneFiles:
 
 
 def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES) -> SceneFiles:
-    """A scene that shows a material, in a picture of `pixels` x `pixels` that is kept in XYZ.
+    """A scene that shows a material, in a picture of `pixels` x `pixels`.
 
     `material` is its XML, a `<bsdf>` with the id "sample"; files that it names must be put beside the scene.
     """
@@ -58,7 +58,6 @@ def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES) -> Scen
     <sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>
     <film type="hdrfilm">
       <integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>
-      <string name="pixel_format" value="xyz"/>
       <rfilter type="box"/>
     </film>
   </sensor>

@@ -28,6 +28,7 @@ from api.cli_export import tell_export
 from api.cli_import import register as add_import
 from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
+from api.cli_render import register as add_render
 from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
@@ -293,6 +294,7 @@ add_export(app)
 add_import(app)
 add_photos(app)
 add_quality(app)
+add_render(app)
 add_serve(app)
 add_stability(app)
 add_tradeoff(app)

@@ -10,7 +10,7 @@ from types import FrameType
 
 import uvicorn
 
-from api.audit import record
+from api.audit import record, record_done
 from api.live import Live, open_live
 from api.logs import log_as_json
 from api.settings import InstrumentSettings
@@ -84,11 +84,11 @@ def serve(
             log.info("Serves %s", url)
             for each in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(each, signal.SIG_IGN)  # uvicorn takes them up, and when it has ended raises them again
-            record(live.store, "service", "start", {"url": url}, "service")
+            record(live.store, "service", "start", {"url": url})
             try:
                 _Server(config, live).run([listener])
             finally:
-                record(live.store, "service", "end", {"url": url}, "service")
+                record_done(live.store, "service", "end", {"url": url})
 
 
 class _Server(uvicorn.Server):

@@ -1,5 +1,6 @@
 """What a browser, a script, and a page of another site get from the service."""
 
+import asyncio
 import json
 import sqlite3
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from argon2 import PasswordHasher
 
@@ -14,7 +16,8 @@ from api import accounts
 from api.accounts import add_user
 from api.audit import entries, verify
 from api.live import Live, open_live
-from api.tokens import create_token, first_token
+from api.tokens import create_token, first_token, revoke_token
+from api.web import events
 from api.web.access import Access, check_listen
 from goniometer.errors import ConfigurationError
 from tests.api.service_client import Client
@@ -273,16 +276,46 @@ def test_the_log_shows_whether_it_is_whole_and_in_pages(live: Live, tmp_path: Pa
     assert "Row 2" in client.get("/api/log?verify=true", headers=root).json()["verified"]["fault"]
 
 
+def test_who_is_kept_out_hears_no_more_of_what_happens(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events, "LOOK_AGAIN", 0.0)
+    token, made = create_token(live.store, "root", "listens")
+
+    async def listen() -> str:
+        live.events.attach(asyncio.get_running_loop())
+        transport = httpx.ASGITransport(Client(live).app)
+        headers = {"Authorization": f"Bearer {token}"}
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost", headers=headers) as client:
+            hearing = asyncio.create_task(client.get("/api/events"))
+            for kind in ("progress", "alarm"):
+                await asyncio.sleep(0.5)
+                if kind == "alarm":
+                    revoke_token(live.store, made.id)
+                live.events.publish(kind, {})  # type: ignore[arg-type]
+            return (await asyncio.wait_for(hearing, 30)).text
+
+    heard = asyncio.run(listen())
+    assert "event: progress" in heard
+    assert "event: alarm" not in heard
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8"])
 def test_on_the_machine_itself_the_service_works_at_once(live: Live, host: str) -> None:
     assert check_listen(host, live.store) == Access(loopback=True, secure=False)
 
 
+def test_a_proxy_on_the_machine_makes_others_come_in(live: Live) -> None:
+    with pytest.raises(ConfigurationError, match="goniometer user add"):
+        check_listen("127.0.0.1", live.store, behind_proxy=True)
+    add_user(live.store, "anna", "operator", PASSWORD)
+    assert check_listen("127.0.0.1", live.store, behind_proxy=True) == Access(loopback=False, secure=True)
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.1", "bench.example.org"])
 def test_other_machines_are_let_in_only_where_somebody_can_log_in_unread(live: Live, host: str) -> None:
     first_token(live.store)
-    with pytest.raises(ConfigurationError, match="goniometer user add"):
-        check_listen(host, live.store, tls=True)
+    for how in ({"tls": True}, {"behind_proxy": True}):
+        with pytest.raises(ConfigurationError, match="goniometer user add"):
+            check_listen(host, live.store, **how)  # type: ignore[arg-type]
     add_user(live.store, "anna", "operator", PASSWORD)
     with pytest.raises(ConfigurationError, match="--tls-cert and --tls-key, or --behind-proxy"):
         check_listen(host, live.store)
