@@ -88,7 +88,6 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         openapi_url="/api/openapi.json",
-        max_body_size=LARGEST_BODY,
     )
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
@@ -99,7 +98,7 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     app.add_middleware(pages.Careful)
     app.add_middleware(metrics.Counted, metrics=app.state.metrics)
     for router in ROUTERS:
-        app.include_router(router)
+        app.include_router(router, max_body_size=LARGEST_BODY)  # here, so that the gate sees it refused
     return app
 
 

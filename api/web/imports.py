@@ -31,6 +31,7 @@ class Upload(BaseModel):
 @router.post(
     "/uploads",
     status_code=201,
+    max_body_size=LARGEST,
     openapi_extra={
         "requestBody": {
             "required": True,
