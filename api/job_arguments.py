@@ -149,7 +149,9 @@ class TradeoffArguments(Arguments):
     """Chart speed against accuracy on the machine of the service."""
 
     kinds: list[ChartKind] = Field(default=list(ChartKind), min_length=1)
-    dataset: int | None = Field(default=None, ge=1, lt=2**63, description="Chart this; null: what the simulated bench makes.")
+    dataset: int | None = Field(
+        default=None, ge=1, lt=2**63, description="Chart this; null: what the simulated bench makes."
+    )
     # names only: a path would let whoever asks look at the files of this machine
     sample: str = Field(
         default="sample-4",
