@@ -13,6 +13,9 @@ from goniometer.dataset import Dataset
 
 _SIGNIFICANCE = 0.01
 
+_USEFUL_P = 0.5
+"""Standard error of p beyond which it is not told: half a reflection more or less."""
+
 
 @dataclass(frozen=True)
 class SlopeEvidence:
@@ -50,7 +53,16 @@ def judge_slopes(evidence: SlopeEvidence) -> Verdict:
     """The verdict: what speaks against the fit first, then what a reader should know besides."""
     against, undetermined = ([], ()) if evidence.model == "constant-slope" else _against(evidence)
     against = [*evidence.doubts, *against]
-    return Verdict(not against, (*against, *_notes(evidence)), undetermined)
+    of_p = _vague_exponent(evidence)
+    return Verdict(not against, (*against, *of_p, *_notes(evidence)), (*undetermined, *(["p"] if of_p else [])))
+
+
+def _vague_exponent(evidence: SlopeEvidence) -> list[str]:
+    """What to say of a p that the spectra hardly tell, as where Fresnel is flat; the slopes are none the worse."""
+    p, u = (
+        dict(zip(evidence.names, map(float, each), strict=True)).get("p", 0.0) for each in (evidence.values, evidence.u)
+    )
+    return [] if u <= _USEFUL_P else [f"The spectra hardly tell p = {p:.2g} ± {u:.2g}."]
 
 
 def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:

@@ -1,16 +1,10 @@
-"""Scenes for Mitsuba 3: their vertices, and what they look like with a model of the ladder.
+"""Scenes as Mitsuba 3 reads them, in which the material can be exchanged.
 
 A scene is a file of Mitsuba's own, in which the BSDF of the material has the id "sample", or one of `analysis.scene`
-written as such. Mitsuba runs in a process of its own, for it may be missing, and a fault in it must not end this one.
-Light is traced with all that the scene scatters; its spectrum is known at four wavelengths and taken as that of D65
-times what is linear between these, which lamps with lines in their spectrum are not.
+written as such. `analysis.mitsuba_run` traces and renders them.
 """
 
-import json
 import math
-import subprocess
-import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,27 +12,25 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from analysis.bsdf_fields import bsdf_content
 from analysis.colour import illuminant, observer
-from analysis.directions import from_vectors
-from analysis.errors import RenderError, SceneError
+from analysis.errors import RenderError
 from analysis.scene import Scene, Shape
 from analysis.scene_rays import WAVELENGTHS, tangents
-from analysis.vertices import Reflectance, Vertices
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 
 PIXELS = 64
 """Most pixels of a side to which the film of a scene is reduced."""
 
-LIGHT_NODES = np.array([440.0, 515.0, 590.0, 665.0])
-"""Wavelengths at which the light of a traced scene is known, nm; those of `analysis.mitsuba_worker`."""
-
-_CIE_Y = 106.856895
+CIE_Y = 106.856895
 """Integral of the observer's Y, nm, by which Mitsuba's XYZ are divided."""
 
-_STEP = float(WAVELENGTHS[1] - WAVELENGTHS[0])
+STEP = float(WAVELENGTHS[1] - WAVELENGTHS[0])
+"""Of these wavelengths, nm."""
+
 _SKY_ROWS = 512
+
+_OURS = '<bsdf type="measured" id="sample" />'
 
 
 @dataclass(frozen=True)
@@ -46,6 +38,7 @@ class MitsubaScene:
     """A scene as Mitsuba reads it, its material exchangeable."""
 
     xml: str
+    """With an empty BSDF in the place of the material."""
     resources: Path
     """Folder from which its files are named."""
     white: FloatArray
@@ -53,6 +46,10 @@ class MitsubaScene:
     images: dict[str, FloatArray]
     """Pictures by file name that it needs besides, [rows, columns, 3]."""
     exposure: float | None
+
+    def with_material(self, element: str) -> str:
+        """Its text with `element` as the BSDF of the material."""
+        return self.xml.replace(_OURS, element)
 
 
 def read_mitsuba(path: Path) -> MitsubaScene:
@@ -110,7 +107,6 @@ def _become_ours(element: ElementTree.Element) -> None:
     element.clear()
     element.set("type", "measured")
     element.set("id", "sample")
-    ElementTree.SubElement(element, "string", name="filename", value="MATERIAL.bsdf")
 
 
 def write_mitsuba(scene: Scene) -> MitsubaScene:
@@ -148,7 +144,7 @@ def write_mitsuba(scene: Scene) -> MitsubaScene:
             upright = ElementTree.SubElement(emitter, "transform", name="to_world")
             ElementTree.SubElement(upright, "rotate", x="1", angle="90")
             # of a picture, 1 is D65 with a Y of 1
-            level = float(spectrum @ observer(WAVELENGTHS)[:, 1]) * _STEP / _CIE_Y
+            level = float(spectrum @ observer(WAVELENGTHS)[:, 1]) * STEP / CIE_Y
             ElementTree.SubElement(emitter, "float", name="scale", value=repr(level))
             continue
         if light.sun is not None:
@@ -199,100 +195,3 @@ def _sky(zenith: float, horizon: float) -> FloatArray:
 
 def _list(values: Any) -> str:
     return ", ".join(f"{v:.10g}" for v in values)
-
-
-@dataclass(frozen=True)
-class Material:
-    """A reflectance as Mitsuba is to render it."""
-
-    reflectance: Reflectance
-    nodes: FloatArray
-    """[nodes] wavelengths, nm, between which it is linear and beyond which it is constant."""
-    alpha: float
-    """Roughness of its lobe; 1 where it has none."""
-
-    def content(self) -> bytes:
-        """The file that the plugin `measured` reads."""
-        if self.nodes.size > 1:
-            return bsdf_content(self.reflectance, self.alpha, self.nodes)
-        # the plugin wants two wavelengths
-        return bsdf_content(
-            lambda directions, two: self.reflectance(directions, np.repeat(self.nodes, two.size)),
-            self.alpha,
-            np.array([500.0, 600.0]),
-        )
-
-
-def trace_mitsuba(scene: MitsubaScene, stand_in: Material, samples: int = 64, seed: int = 1) -> Vertices:
-    """The vertices of a Mitsuba scene, light that other surfaces scatter included.
-
-    `stand_in` is the material where its own light comes back to it, and its lobe tells where light is looked for.
-    Raises `RenderError` where Mitsuba is not there or fails, and `SceneError` where the scene shows nothing of the
-    material.
-    """
-    job = {"what": "trace", "samples": samples, "seed": seed, "alpha": stand_in.alpha}
-    found = _run(scene, job, [stand_in])
-    if not found["complete"].any():
-        raise SceneError('No pixel of the scene shows the material "sample" alone, directly and from its front.')
-    inside = found["complete"][found["pixel"]]
-    if not inside.any():
-        raise SceneError("No light of the scene falls on the material where the camera sees it.")
-    rows, columns = (int(v) for v in found["size"])
-    up = np.array([0.0, 0.0, 1.0])
-    hats = np.stack([np.interp(WAVELENGTHS, LIGHT_NODES, row) for row in np.eye(LIGHT_NODES.size)])
-    at_nodes = np.interp(LIGHT_NODES, WAVELENGTHS, scene.white)
-    return Vertices(
-        rows=rows,
-        columns=columns,
-        pixel=found["pixel"][inside].astype(np.intp),
-        half=found["half"][inside].astype(np.intp),
-        directions=from_vectors(found["wo"][inside].astype(float), found["wi"][inside].astype(float), up),
-        weight=found["weight"][inside].astype(float),
-        wavelengths=WAVELENGTHS,
-        light=hats * (scene.white / at_nodes[:, None]),
-        white=scene.white,
-        target=found["complete"],
-        exposure=scene.exposure,
-    )
-
-
-def render(scene: MitsubaScene, materials: list[Material], samples: int, seed: int = 1) -> list[FloatArray]:
-    """[rows x columns, 3] XYZ of a scene with each material, the white having Y = 1, all with the same random numbers.
-
-    Pixels that came out as no number are NaN. Raises `RenderError` where Mitsuba is not there or fails.
-    """
-    found = _run(scene, {"what": "render", "samples": samples, "seed": seed, "alpha": 0.0}, materials)
-    white = float(scene.white @ observer(WAVELENGTHS)[:, 1]) * _STEP
-    return [found[f"{i}.bsdf"].reshape(-1, 3).astype(float) * (_CIE_Y / white) for i in range(len(materials))]
-
-
-def _run(scene: MitsubaScene, job: dict[str, Any], materials: list[Material]) -> dict[str, Any]:
-    """Let the worker do a job, and return what it leaves."""
-    with tempfile.TemporaryDirectory(prefix="goniometer-") as name:
-        folder = Path(name)
-        for i, material in enumerate(materials):
-            (folder / f"{i}.bsdf").write_bytes(material.content())
-        for image, values in scene.images.items():
-            np.save(folder / f"{image}.npy", values)
-        whole = job | {
-            "materials": [f"{i}.bsdf" for i in range(len(materials))],
-            "resources": str(scene.resources),
-            "images": list(scene.images),
-        }
-        (folder / "job.json").write_text(json.dumps(whole))
-        (folder / "scene.xml").write_text(scene.xml, encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, "-m", "analysis.mitsuba_worker", name], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0:
-            raise RenderError(_why(done.stderr))
-        with np.load(folder / "out.npz") as arrays:
-            return {key: arrays[key] for key in arrays.files}
-
-
-def _why(told: str) -> str:
-    """What is wrong, from the last words of the worker."""
-    last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it said nothing")
-    if "No module named 'mitsuba'" in told:
-        return 'Mitsuba is not installed; install the extra "render": pip install "goniometer[render]".'
-    return f"Mitsuba failed: {last}"

@@ -1,8 +1,7 @@
-"""Traces and renders a Mitsuba scene, in a process of its own: `python -m analysis.mitsuba_worker FOLDER`.
+"""Traces, renders and times a Mitsuba scene, in a process of its own: `python -m analysis.mitsuba_worker FOLDER`.
 
-The folder holds `scene.xml`, in which MATERIAL.bsdf stands for the file of a material, `job.json` and these files;
-`out.npz` is left in it. The material is the BSDF with the id "sample". Only the scalar variant is used, which needs no
-compiler on the computer.
+The folder holds a scene for each material, `0.xml` and so on, what these need, and `job.json`; `out.npz` is left in it.
+The material is the BSDF with the id "sample". Only scalar variants are used, which need no compiler on the computer.
 """
 
 import json
@@ -13,6 +12,8 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+
+from analysis.tradeoff import Candidate, race
 
 NODES = (440.0, 515.0, 590.0, 665.0)
 """Wavelengths at which the light of a traced scene is known, nm; as many as a spectral ray of Mitsuba has."""
@@ -131,6 +132,26 @@ def trace(scene: Any, samples: int, seed: int, alpha: float) -> dict[str, Any]:
     }
 
 
+def rendered(scene: Any, samples: int, seed: Any) -> Any:
+    """[rows, columns, 3]"""
+    return np.array(mi.render(scene, spp=samples, seed=seed))[..., :3]
+
+
+def timed(scenes: list[tuple[str, Any]], samples: int, rounds: int) -> dict[str, Any]:
+    """Seconds [scenes, quartiles] of rendering `scenes`, each of a variant, by turns, and their halves of an image."""
+
+    def way(number: int, variant: str, scene: Any) -> Candidate:
+        def run(of_round: int) -> Any:
+            mi.set_variant(variant)
+            return np.stack([rendered(scene, samples // 2, 2 * of_round + half) for half in (0, 1)])
+
+        return Candidate(str(number), "", variant, run)
+
+    found = race([way(number, *scene) for number, scene in enumerate(scenes)], rounds)
+    images = {each.candidate.name: np.mean(each.results, axis=0) for each in found}
+    return images | {"seconds": np.array([[each.low, each.middle, each.high] for each in found])}
+
+
 def main(folder: Path) -> None:
     """Do what `job.json` says."""
     job = json.loads((folder / "job.json").read_text())
@@ -139,14 +160,16 @@ def main(folder: Path) -> None:
         mi.file_resolver().append(place)  # type: ignore[operator]  # its stub calls it an object
     for image in job["images"]:
         mi.Bitmap(np.load(folder / f"{image}.npy").astype(np.float32)).write(str(folder / image))
-    text = (folder / "scene.xml").read_text(encoding="utf-8")
-    results: dict[str, Any] = {}
-    for material in job["materials"]:
-        scene = mi.load_string(text.replace("MATERIAL.bsdf", str(folder / material)))
-        if job["what"] == "trace":
-            results = trace(scene, job["samples"], job["seed"], job["alpha"])
-        else:
-            results[material] = np.array(mi.render(scene, spp=job["samples"], seed=job["seed"]))[..., :3]
+    scenes = []
+    for number, variant in enumerate(job["variants"]):
+        mi.set_variant(variant)
+        scenes.append((variant, mi.load_file(str(folder / f"{number}.xml"))))
+    if job["what"] == "trace":
+        results = trace(scenes[0][1], job["samples"], job["seed"], job["alpha"])
+    elif job["what"] == "time":
+        results = timed(scenes, job["samples"], job["rounds"])
+    else:
+        results = {str(n): rendered(scene, job["samples"], job["seed"]) for n, (_, scene) in enumerate(scenes)}
     np.savez(folder / "out.npz", **results)
 
 

@@ -23,6 +23,8 @@ _FEW_DECADES = 2.5
 _MARKERS = "osD^vPX"
 _REACH = 6.0
 """Half of the side of the square around a mark in which pointing at it tells about it, points."""
+_APART = 4.0
+"""Between two names, points."""
 _PLACES = ((7, 0), (-7, 0), (0, 9), (0, -9), (7, 9), (7, -9), (-7, 9), (-7, -9), (12, 18), (12, -18), (-12, 18))
 """Where a name may stand relative to its mark, points, the best first."""
 
@@ -50,7 +52,8 @@ def tradeoff_chart(chart: Chart) -> str:
     with style():
         figure, axes = new_axes(640, 400, left=58, right=16, bottom=40, top=36)
         axes.set(xscale="log", yscale="log", xlabel=chart.cost.label, ylabel=chart.error.label)
-        axes.set(xlim=_limits([c.cost for _, c in shown], 0.12), ylim=_limits([c.error for _, c in shown], 0.08))
+        costs = [cost for _, c in shown for cost in (c.cost_low, c.cost_high)]
+        axes.set(xlim=_limits(costs, 0.12), ylim=_limits([c.error for _, c in shown], 0.08))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(_plain)
             axis.set_minor_formatter(_plain if _decades(*axis.get_view_interval()) < _FEW_DECADES else "")
@@ -80,9 +83,14 @@ def tradeoff_chart(chart: Chart) -> str:
 
 
 def _plain(value: float, _: object = None) -> str:
-    """A tick as a person would write it: 0.02, 300; few of the minor ones have room."""
+    """A tick as a person would write it: 0.02, 10 000; few of the minor ones have room."""
     digit = round(value / 10 ** np.floor(np.log10(value)))
-    return f"{value:g}" if digit in {1, 2, 5} else ""
+    return _in_words(value) if digit in {1, 2, 5} else ""
+
+
+def _in_words(value: float) -> str:
+    """Large ones in groups of three digits."""
+    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1e4 else f"{value:.4g}"
 
 
 def _decades(low: float, high: float) -> float:
@@ -130,7 +138,8 @@ def _write_names(figure: "Figure", axes: "Axes", marks: Sequence[Choice], best: 
                 place, least = (dx, dy), covered
         dx, dy = place
         text.set(position=place, ha="left" if dx > 0 else "right" if dx < 0 else "center", va="center")
-        taken.append(_box(x + dx, y + dy, dx, width, height))
+        left, bottom, right, top = _box(x + dx, y + dy, dx, width, height)
+        taken.append(np.array([left - _APART, bottom, right + _APART, top]))
 
 
 def _box(x: float, y: float, side: float, width: float, height: float) -> FloatArray:
@@ -186,4 +195,4 @@ def _table(chart: Chart) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+    return "" if value is None else _in_words(value)

@@ -25,6 +25,9 @@ from goniometer.dataset import Dataset
 COUNTS = (LEAST_WAVELENGTHS, 8, 16, 41, 101, 201)
 """Numbers of wavelengths that are tried besides all of them."""
 
+COMPARED = (41,)
+"""Those of them at which lmfit is tried, too."""
+
 MOST = 401
 """More wavelengths than that are thinned out first."""
 
@@ -73,38 +76,33 @@ def _model_charts(
 ) -> list[Chart]:
     whole = draws[0]
     all_of_them = whole.wavelengths.size
+    some = [count for count in COMPARED if count < all_of_them]
     candidates = [
-        Candidate(
-            f"{count} λ",
-            f"scans for the start, then own derivatives, {count} wavelengths",
-            "fast engine",
-            _by_turns(_fast, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor),
-        )
-        for count in [*counts, all_of_them]
-    ]
-    candidates += [
-        Candidate(
-            f"{count} λ{', analytic' if analytic else ''}",
-            f"scans for the start, then lmfit with {'our' if analytic else 'its numeric'} derivatives, "
-            f"{count} wavelengths",
+        *_candidates("scans for the start, then own derivatives", "fast engine", counts, draws, _fast, conductor),
+        *(
+            candidate
+            for words, more, analytic in (("its numeric", "", False), ("our", ", analytic", True))
+            for candidate in _candidates(
+                f"scans for the start, then lmfit with {words} derivatives",
+                "lmfit",
+                some,
+                draws,
+                _by_lmfit,
+                conductor,
+                analytic,
+                more=more,
+            )
+        ),
+        *_candidates(
+            f"lmfit with its numeric derivatives from alpha = {_USUAL[0]:g}, h = {_USUAL[1]:g} 1/µm, w = {_USUAL[2]:g}",
             "lmfit",
-            _by_turns(
-                _by_lmfit, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor, analytic
-            ),
-        )
-        for count in (41, all_of_them)
-        for analytic in (False, True)
-        if count <= all_of_them
+            [],
+            draws,
+            _from_usual_start,
+            conductor,
+            more=", one start",
+        ),
     ]
-    candidates.append(
-        Candidate(
-            f"{all_of_them} λ, one start",
-            f"lmfit with its numeric derivatives from alpha = {_USUAL[0]:g}, h = {_USUAL[1]:g} 1/µm, "
-            f"w = {_USUAL[2]:g}, {all_of_them} wavelengths",
-            "lmfit",
-            _by_turns(_from_usual_start, draws, conductor),
-        )
-    )
     tell("Cook-Torrance with shift")
     reference = brdf_fit(whole, "cook-torrance-shift", conductor)
     finest = np.array([reference.value(name) for name in ("alpha", "h", "w")])
@@ -126,29 +124,27 @@ def _model_charts(
     where = f"{whole.theta_in.size} spectra of {whole.sample}, up to {all_of_them} wavelengths"
     against = "the truth of the bench" if known else "the fit to all wavelengths, its own standard errors added"
     charts = [
-        Chart(
+        (
             "fit-parameters",
             "Fitting Cook-Torrance with shift: time against error of the parameters",
             f"{where}; from a cold start to alpha, h and w, without their standard errors. Error: root mean square of "
             f"the relative errors of the three against {against}.",
-            Axis("time of a fit", "s"),
             Axis("relative error of alpha, h and w", ""),
-            tuple(timed.choice(parameter_error) for timed in run),
-        )
+            parameter_error,
+        ),
+        (
+            "fit-colour",
+            "The same fits: time against error of the colours",
+            f"{where}. Error: mean dE00 of all fitted spectra against "
+            f"{'the truth of the bench' if known else 'the measured ones, their noise included'}.",
+            Axis("mean dE00", ""),
+            colour_error,
+        ),
     ]
-    if has_colour(whole.wavelengths):
-        charts.append(
-            Chart(
-                "fit-colour",
-                "The same fits: time against error of the colours",
-                f"{where}. Error: mean dE00 of all fitted spectra against "
-                f"{'the truth of the bench' if known else 'the measured ones, their noise included'}.",
-                Axis("time of a fit", "s"),
-                Axis("mean dE00", ""),
-                tuple(timed.choice(colour_error) for timed in run),
-            )
-        )
-    return charts
+    return [
+        Chart(kind, title, caption, Axis("time of a fit", "s"), axis, tuple(timed.choice(error) for timed in run))
+        for kind, title, caption, axis, error in (charts if has_colour(whole.wavelengths) else charts[:1])
+    ]
 
 
 def _local_chart(
@@ -157,31 +153,20 @@ def _local_chart(
     whole = draws[0]
     spectra, all_of_them = whole.theta_in.size, whole.wavelengths.size
     rows = np.unique(np.linspace(0, spectra - 1, min(ALONE, spectra)).astype(int))
+    few = [each.at_points(rows) for each in draws]
     candidates = [
-        Candidate(
-            f"{count} λ",
-            f"all spectra at once, {count} wavelengths",
-            "all at once",
-            _by_turns(local_fit, [each.at_wavelengths(_spread(all_of_them, count)) for each in draws], conductor),
-        )
-        for count in [*counts, all_of_them]
-    ]
-    candidates += [
-        Candidate(
-            f"{count} λ",
-            f"lmfit spectrum by spectrum, {count} wavelengths; timed on {rows.size} of the spectra",
+        *_candidates("all spectra at once", "all at once", counts, draws, local_fit, conductor),
+        *_candidates(
+            f"lmfit spectrum by spectrum, timed on {rows.size} of the spectra",
             "lmfit, one by one",
-            _by_turns(
-                local_fit,
-                [each.at_wavelengths(_spread(all_of_them, count)).at_points(rows) for each in draws],
-                conductor,
-                LAMBDA_N,
-                "lmfit",
-            ),
+            [count for count in COMPARED if count < all_of_them],
+            few,
+            local_fit,
+            conductor,
+            LAMBDA_N,
+            "lmfit",
             share=rows.size / spectra,
-        )
-        for count in (41, all_of_them)
-        if count <= all_of_them
+        ),
     ]
     tell("local fit")
     finest = local_fit(whole, conductor)
@@ -211,9 +196,27 @@ def _spread(count: int, most: int) -> IndexArray:
     return np.unique(np.round(np.linspace(0, count - 1, min(most, count))).astype(int))
 
 
-def _by_turns(fit: Callable[..., Any], draws: Sequence[Dataset], *how: object) -> Callable[[int], Any]:
-    """Of round n, `fit` of the n-th of `draws`, and so on from the first."""
-    return lambda number: fit(draws[number % len(draws)], *how)
+def _candidates(
+    setting: str,
+    family: str,
+    counts: Sequence[int],
+    draws: Sequence[Dataset],
+    fit: Callable[..., Any],
+    *how: object,
+    more: str = "",
+    share: float = 1.0,
+) -> list[Candidate]:
+    """`fit` at each of `counts` wavelengths and at all: in round n that of the n-th of `draws`, by turns."""
+    every = draws[0].wavelengths.size
+
+    def at(count: int) -> Callable[[int], Any]:
+        fewer = [each.at_wavelengths(_spread(every, count)) for each in draws]
+        return lambda number: fit(fewer[number % len(fewer)], *how)
+
+    return [
+        Candidate(f"{count} λ{more}", f"{setting}, {count} wavelengths", family, at(count), share)
+        for count in [*counts, every]
+    ]
 
 
 def _fast(dataset: Dataset, conductor: Conductor) -> FloatArray:

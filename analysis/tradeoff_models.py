@@ -11,11 +11,12 @@ from analysis.colour import colour_differences
 from analysis.directions import Directions, round_aperture, through_aperture
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import Conductor
-from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, ladder, roughness, table_rung
+from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, guides, ladder, roughness, table_rung
 from analysis.scene import Camera, Light, Scene, Shape
 from analysis.scene_rays import trace
 from analysis.tradeoff import Axis, Candidate, Chart, Choice, race
 from analysis.tradeoff_fits import Tell
+from analysis.tradeoff_renders import render_chart
 from analysis.vertices import Vertices, display_for, image
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -36,11 +37,14 @@ _FAMILIES = {"lambert": "no lobe", "tinted": "no shift", "cook-torrance": "no sh
 _FAMILIES |= {"table": "table"}
 
 
-def model_charts(dataset: Dataset, metal: Conductor, dielectric: bool, rounds: int, tell: Tell) -> list[Chart]:
+def model_charts(
+    dataset: Dataset, metal: Conductor, dielectric: bool, rounds: int, tell: Tell, *, rendering: bool
+) -> list[Chart]:
     """The ladder of models made of every second point of `dataset`: cost against colour error.
 
     Colours are compared with the points between, which no model has seen, and in an image with that of a table of all
-    points. Raises `FitError`, `OutOfRange` and `CalibrationError` as fits and tables do.
+    points, shaded here and, with `rendering`, rendered by Mitsuba. Raises `FitError`, `OutOfRange` and
+    `CalibrationError` as fits and tables do, and `RenderError`.
     """
     order = np.lexsort((dataset.theta_out, dataset.theta_in))
     seen, held_out = dataset.at_points(np.sort(order[::2])), dataset.at_points(np.sort(order[1::2]))
@@ -48,13 +52,17 @@ def model_charts(dataset: Dataset, metal: Conductor, dielectric: bool, rounds: i
     tell("models: fits and tables")
     fits = fit_models(seen, local_fit_for(seen, names, metal), names, metal)
     alpha = roughness(fits)
-    half, whole = (reference_table(each, alpha, metal=not dielectric).table for each in (seen, dataset))
+    half, whole = (reference_table(each, alpha, guides(fits)).table for each in (seen, dataset))
     vertices = trace(SCENE, alpha, SAMPLES)
     rungs = (*ladder(vertices, whole, NODES, fits, metal), table_rung(half))
-    return [
+    charts = [
         *_evaluation_charts(held_out, vertices, rungs, rounds, tell),
-        _image_chart(dataset.sample, vertices, (*rungs[:-1], table_rung(whole)), rounds, tell),
+        _image_chart(dataset.sample, vertices, rungs, table_rung(whole), rounds, tell),
     ]
+    if not rendering:
+        tell("Mitsuba is not installed, so renderings are left out; the extra is called render.")
+        return charts
+    return [*charts, render_chart(dataset.sample, SCENE, vertices, rungs, table_rung(whole), alpha, rounds, tell)]
 
 
 def _evaluation_charts(
@@ -102,9 +110,13 @@ def _evaluation_charts(
     ]
 
 
-def _image_chart(sample: str, vertices: Vertices, rungs: tuple[Rung, ...], rounds: int, tell: Tell) -> Chart:
-    """`rungs` end with the table that the others are compared with."""
-    candidates = [Candidate(rung.name, _words(rung), _family(rung), _shading(rung, vertices)) for rung in rungs]
+def _image_chart(
+    sample: str, vertices: Vertices, rungs: tuple[Rung, ...], table: Rung, rounds: int, tell: Tell
+) -> Chart:
+    """`table` is what the others are compared with."""
+    candidates = [
+        Candidate(rung.name, _words(rung), _family(rung), _shading(rung, vertices)) for rung in (*rungs, table)
+    ]
     timed = race(candidates, rounds, tell)
     right = timed[-1].results[-1].mean(axis=0)
     display = display_for(vertices, right)
@@ -113,8 +125,8 @@ def _image_chart(sample: str, vertices: Vertices, rungs: tuple[Rung, ...], round
         return float(display.difference(halves.mean(axis=0), right).mean())
 
     return Chart(
-        "rendering",
-        "Renderings: time to shade an image against its colour error",
+        "shading",
+        "Shading: our time for an image against its colour error",
         f"{sample}: a sphere under a sun and a sky, {vertices.columns} × {vertices.rows} pixels, {SAMPLES} samples "
         f"each, {NODES.size} wavelengths; the ways of the light are found once and are the same for all. Error: mean "
         f"dE00 of the material's pixels against the table of all points, which takes {timed[-1].middle:.2g} s.",
@@ -146,9 +158,8 @@ def _colour_error(dataset: Dataset, rung: Rung) -> float:
 
 def _words(rung: Rung) -> str:
     shape = f"directions by {', '.join(rung.shape)}" if rung.shape else "no parameter of direction"
-    return f"{rung.name}: {shape}" + (
-        f", {rung.per_wavelength} numbers for each wavelength" * bool(rung.per_wavelength)
-    )
+    numbers = "1 number" if rung.per_wavelength == 1 else f"{rung.per_wavelength} numbers"
+    return shape + f", {numbers} for each wavelength" * bool(rung.per_wavelength)
 
 
 def _family(rung: Rung) -> str:

@@ -7,7 +7,8 @@ import numpy as np
 
 from analysis.choose import NODES, Choice, Judged, p95_of, without_noise
 from analysis.ladder import Lambert, Rung
-from analysis.mitsuba_scene import Material, MitsubaScene, render
+from analysis.mitsuba_run import Material, render
+from analysis.mitsuba_scene import MitsubaScene
 from analysis.vertices import Reflectance
 from drivers.arrays import BoolArray, FloatArray
 
@@ -56,20 +57,23 @@ def verify(
     if choice.chosen is None:
         return None
     judged = [choice.chosen, *cheaper(choice)[-1:]]
-    materials = [Material(reference, NODES, alpha), *(_material(each.rung, each.wavelengths, alpha) for each in judged)]
+    materials = [
+        Material(reference, NODES, alpha),
+        *(material_of(each.rung, each.wavelengths, alpha) for each in judged),
+    ]
     seeds = [render(scene, materials, samples, seed) for seed in SEEDS]
     images = np.array([[image[choice.vertices.target] for image in of_seed] for of_seed in seeds])
     valid = np.isfinite(images).all(axis=(0, 1, 3))
     display, whole = choice.picture.display, images.mean(axis=0)
-    models = []
+    verified = []
     for number, each in enumerate(judged, start=1):
         differences = display.difference(whole[0][valid], whole[number][valid])
         parts = [display.difference(of_seed[0][valid], of_seed[number][valid]) for of_seed in images]
         mean, noise = without_noise(float(differences.mean()), [float(part.mean()) for part in parts])
         p95, _ = without_noise(p95_of(differences), [p95_of(part) for part in parts])
         u_render = math.hypot(0.5 * float(parts[0].mean() - parts[1].mean()), noise)
-        models.append(Verified(each, mean, p95, u_render))
-    return Verification(tuple(models), whole[0], whole[1], valid)
+        verified.append(Verified(each, mean, p95, u_render))
+    return Verification(tuple(verified), whole[0], whole[1], valid)
 
 
 def cheaper(choice: Choice) -> list[Judged]:
@@ -80,5 +84,6 @@ def cheaper(choice: Choice) -> list[Judged]:
     return list(choice.judged[: names.index(choice.chosen.rung.name)])
 
 
-def _material(rung: Rung, wavelengths: FloatArray, alpha: float) -> Material:
+def material_of(rung: Rung, wavelengths: FloatArray, alpha: float) -> Material:
+    """A rung at `wavelengths`, nm, as it is rendered; `alpha` is about the roughness of the sample."""
     return Material(rung.model, wavelengths, _FLAT if isinstance(rung.model, Lambert) else alpha)

@@ -81,17 +81,28 @@ def test_another_metal_than_assumed_is_noticed_by_its_colour(metal: str) -> None
 
 
 def test_a_metal_seen_at_few_wavelengths_is_not_called_another_one() -> None:
-    dataset = spectra("main/Al/Cheng")
-    few = np.abs(WAVELENGTHS - 600) < 40
-    part = replace(
-        dataset,
-        wavelengths=WAVELENGTHS[few],
-        brdf=dataset.brdf[:, few],
-        sources=tuple(replace(source, values=source.values[:, few]) for source in dataset.sources),
-    )
+    part = spectra("main/Al/Cheng")
+    part = part.at_wavelengths(np.flatnonzero(np.abs(WAVELENGTHS - 600) < 40))
     local = local_fit(part)
     assert np.median(local.u_exponent) > 1
     assert local.doubts == ()
+
+
+def test_an_exponent_that_flat_spectra_hardly_tell_is_called_undetermined_and_the_slopes_are_not() -> None:
+    told = global_fit(spectra("main/Al/Cheng"), local_fit(spectra("main/Al/Cheng")))
+    assert told.standard_error("p") < 0.5
+    assert "p" not in told.verdict.undetermined
+    assert not any("hardly tell p" in reason for reason in told.verdict.reasons)
+    part = spectra("main/Al/Cheng")
+    part = part.at_wavelengths(np.flatnonzero(np.abs(WAVELENGTHS - 600) < 40))
+    for model in ("constant-slope", "global"):
+        vague = global_fit(part, local_fit(part), model=model)
+        assert vague.standard_error("p") > 0.5
+        assert "p" in vague.verdict.undetermined
+        (said,) = (reason for reason in vague.verdict.reasons if "hardly tell p" in reason)
+        assert f"± {vague.standard_error('p'):.2g}" in said
+    # slopes are all the same here, which the constant fits, whatever p is
+    assert global_fit(part, local_fit(part), model="constant-slope").verdict.trusted
 
 
 def test_a_line_that_no_spectrum_should_have_is_an_error_that_all_slopes_share() -> None:

@@ -13,7 +13,8 @@ from analysis.errors import RenderError
 from analysis.fresnel import load_conductor
 from analysis.ladder import Lambert, Tinted
 from analysis.measured_bsdf import evaluate, read_bsdf
-from analysis.mitsuba_scene import Material, read_mitsuba, render, trace_mitsuba, write_mitsuba
+from analysis.mitsuba_run import Material, render, trace_mitsuba
+from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
 from analysis.models import cook_torrance
 from analysis.scene import Scene
 from analysis.scene_rays import trace
