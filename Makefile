@@ -12,9 +12,10 @@ WANTED := $(shell cat requirements.lock pyproject.toml 2>/dev/null | cksum)
 demo: $(VENV)
 	$(BIN)/goniometer demo
 
+# Three workers keep two cores busy, for tests of devices that do not answer wait in real time.
 test: $(VENV)
 	@$(MAKE) --no-print-directory check
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)
 	$(BIN)/ruff check .
