@@ -1,6 +1,7 @@
 """What a person is shown of a dataset agrees with what is in it."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import colour
@@ -76,7 +77,7 @@ def test_cells_neither_overlap_nor_reach_into_the_blocked_sector(shown: Shown) -
         for cell in (each.edges for each in found.cells if each.edges.bottom == sector.bottom):
             assert cell.right <= sector.left + 1e-9 or cell.left >= sector.right - 1e-9
     row = sorted((c.edges for c in found.cells if c.edges.bottom == found.cells[0].edges.bottom), key=lambda e: e.left)
-    assert all(a.right <= b.left + 1e-9 for a, b in zip(row[:-1], row[1:], strict=True))
+    assert all(a.right <= b.left + 1e-9 for a, b in pairwise(row))
 
 
 def test_the_difference_of_every_cell_is_that_of_the_fit_itself(shown: Shown) -> None:
