@@ -116,8 +116,9 @@ class Jobs:
         begun = ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=begin_worker, initargs=(told,))
         with heard, begun as executor:
             with told, self._lock:
-                if not job_rows.begin(self._store, job_id):
-                    return  # cancelled while it waited
+                if not job_rows.begin(self._store, job_id):  # cancelled while it waited
+                    self._cancelled.discard(job_id)
+                    return
                 self._groups[job_id] = 0
                 future = executor.submit(work, self._database, str(self._output), job_id, kind, arguments)
             self._publish(job_id)
