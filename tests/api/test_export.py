@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from api.package_texts import Published
 from goniometer.errors import InputError
 from goniometer.store import Store
 from tests.bird_schemas import validator
+from tests.drawn_dataset import drawn_dataset
 
 ABOUT = """
 provenance:
@@ -229,6 +231,20 @@ def test_the_same_dataset_gives_the_same_package_as_a_folder_too(package: Path, 
     assert again.sha256 == hashlib.sha256((package / "SHA256SUMS").read_bytes()).hexdigest()
     with pytest.raises(InputError, match="is there already"):
         export_dataset(store, 1, "package", tmp_path / "one", options)
+
+
+def test_a_dataset_that_cannot_be_fitted_is_published_without_fits_and_the_package_says_why(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "a.db")
+    three = drawn_dataset("sample-1").at_points(np.arange(20)).at_wavelengths(slice(0, 3))
+    dataset_id = store.add_dataset(None, replace(three, lineage={"imported": "theirs.csv"}))
+    written = export_dataset(store, dataset_id, "package", tmp_path / "it", TERMS)
+    notes = " ".join(written.notes)
+    assert "fits/analysis.json is not in the package: " in notes
+    assert "needs at least 5" in notes
+    assert "Raw exposures are not in the package" in (written.path / "README.md").read_text()
+    assert not (written.path / "fits").exists()
+    done = subprocess.run(["sha256sum", "-c", "SHA256SUMS"], cwd=written.path, capture_output=True, check=False)
+    assert done.returncode == 0
 
 
 def test_terms_that_nobody_can_mean_are_refused_before_anything_is_computed(store: Store, tmp_path: Path) -> None:
