@@ -5,23 +5,18 @@ in ASCII; `about` is the text that the row holds. So nobody can change, remove o
 being wrong; only rows at the end can be cut off unnoticed, and not from who has noted the last hash before.
 """
 
-import getpass
 import hashlib
 import json
 import logging
 import math
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, insert, select, text
 
-from analysis.errors import AnalysisError
-from drivers.errors import DriverError
 from goniometer.database import Database
-from goniometer.errors import GoniometerError
+from goniometer.errors import StoreError
 from goniometer.records import now
 from goniometer.service_tables import log as table
 
@@ -74,6 +69,14 @@ def record(database: Database, who: str, action: str, about: Mapping[str, Any], 
     # The journal of the machine thus keeps the hashes where who can write the database may be unable to.
     log.info("Log row %s has the hash %s", sequence, entry.hash)
     return entry
+
+
+def record_done(database: Database, who: str, action: str, about: Mapping[str, Any], via: Via = "service") -> None:
+    """Like `record`, of what nothing can undo: where no row can be added, the journal of the machine tells of it."""
+    try:
+        record(database, who, action, about, via)
+    except StoreError:
+        log.exception("What %s did is not in the log: %s %s", who, action, _canonical(without_secrets(about)))
 
 
 def sealed(row: Mapping[str, Any]) -> str:
@@ -146,25 +149,3 @@ def _canonical(value: Mapping[str, Any]) -> str:
 
 def _entry(row: Row[Any]) -> Entry:
     return Entry(**row._mapping)
-
-
-@contextmanager
-def at_terminal(database: Database, action: str, **about: Any) -> Iterator[None]:
-    """Log what the command line does in the block, and how it ended."""
-    outcome = "interrupted"
-    try:
-        yield
-        outcome = "done"
-    except (GoniometerError, AnalysisError, DriverError) as error:
-        outcome = str(error)
-        raise
-    finally:
-        record(database, _account(), action, {**about, "outcome": outcome}, "cli")
-
-
-def _account() -> str:
-    """Name of the machine's account that this process runs in."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # in a container the account may have a number only
-        return str(os.getuid())

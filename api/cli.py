@@ -20,6 +20,7 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
 from api.cli_export import register as add_export
@@ -27,6 +28,7 @@ from api.cli_export import tell_export
 from api.cli_import import register as add_import
 from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
+from api.cli_render import register as add_render
 from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
@@ -35,6 +37,7 @@ from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
+from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
@@ -83,7 +86,7 @@ def demo(
     _fail_for(result.failures)
 
 
-@app.command(name="run")
+@app.command(name="run", cls=Logged)
 def run_command(
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
@@ -250,10 +253,10 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
 
 
 for _verb in ("pause", "resume", "abort"):
-    app.command(name=_verb)(_command(_verb))
+    app.command(name=_verb, cls=Logged)(_command(_verb))
 
 
-@app.command()
+@app.command(cls=Logged)
 def fit(
     dataset: DatasetName,
     model: Annotated[
@@ -284,19 +287,21 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
+add_access(app)
 add_characterisations(app)
 add_choose(app)
 add_export(app)
 add_import(app)
 add_photos(app)
 add_quality(app)
+add_render(app)
 add_serve(app)
 add_stability(app)
 add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 
-@app.command()
+@app.command(cls=Logged)
 def report(
     dataset: DatasetName,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,

@@ -6,16 +6,19 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from analysis.brdf_fit import BRDF_MODELS
+from analysis.bsdf_search import Budget
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.derive import Export
 from api.exports import FORMATS, Options, export_dataset
+from api.logged import Logged
 
 _ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
 
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="export")(export)
+    app.command(name="export", cls=Logged)(export)
 
 
 def export(
@@ -36,13 +39,32 @@ def export(
         list[Path] | None,
         typer.Option(help="package: photograph, topography or another file of the sample; may be repeated."),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help=f"mitsuba: {', '.join(BRDF_MODELS)}; the one fitted last unless given.", show_default=False),
+    ] = None,
+    budget: Annotated[
+        float, typer.Option(min=1e-4, max=1, help="mitsuba: relative error that 99 of 100 directions may have.")
+    ] = Budget.error,
+    colour_budget: Annotated[
+        float, typer.Option(min=0.01, help="mitsuba: dE00 that 99 of 100 directions may have.")
+    ] = Budget.colour,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
-    options = Options(raw, license_, tuple(creator or ()), tuple(attach or ()), about)
-    tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path, options), as_json=as_json)
+    said = Options(
+        raw=raw,
+        license=license_,
+        creators=tuple(creator or ()),
+        attached=tuple(attach or ()),
+        about=about,
+        model=model,
+        budget=budget,
+        colour_budget=colour_budget,
+    )
+    tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path, said), as_json=as_json)
 
 
 def tell_export(written: Export, *, as_json: bool) -> None:

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.imports import Request, imported_file
+from api.logged import Logged
 from api.quality import quality, quality_lines
 from goniometer.dataset import Dataset
 from goniometer.delimited import Quantity
@@ -17,7 +18,7 @@ from goniometer.store import Store
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="import")(import_command)
+    app.command(name="import", cls=Logged)(import_command)
 
 
 def import_command(

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from analysis.bsdf_search import Budget
 from api.bluesky_documents import bluesky_lines
 from api.derive import Export, write_bytes, write_text
 from api.package import write_package
 from api.products import usual_path, write_fits, write_mitsuba
+from api.render import write_plugin_scene
 from goniometer.bird_json import bird_json
 from goniometer.bird_metadata import bird_metadata, read_about
 from goniometer.dataset import Dataset
@@ -35,6 +37,12 @@ class Options:
     """Files that belong to the sample: photographs, a topography."""
     about: Path | None = None
     """YAML or JSON file that says what no database knows, see `goniometer.bird_metadata`."""
+    model: str | None = None
+    """Name of the fitted model."""
+    budget: float = Budget.error
+    """Relative error of a table that 99 of 100 directions keep."""
+    colour_budget: float = Budget.colour
+    """The same of its CIEDE2000."""
 
 
 Write = Callable[[Store, int, Path, Options], Export]
@@ -91,6 +99,10 @@ def _write_package(store: Store, dataset_id: int, path: Path, options: Options) 
     return write_package(store, dataset_id, path, terms, said, options.attached)
 
 
+def _write_mitsuba(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    return write_mitsuba(store, dataset_id, path, options.model, Budget(options.budget, options.colour_budget))
+
+
 FORMATS: dict[str, Format] = {
     "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
     "hdf5": Format("the dataset with uncertainty, flags and lineage, NeXus-style", "h5", _write_hdf5, ("raw",)),
@@ -110,9 +122,15 @@ FORMATS: dict[str, Format] = {
         ("license", "creators", "attached", "about"),
     ),
     "mitsuba": Format(
-        "a .bsdf file for Mitsuba 3",
+        "a .bsdf file for Mitsuba 3 and PBRT, with a scene that shows it",
         "bsdf",
-        lambda store, dataset_id, path, _: write_mitsuba(store, dataset_id, path),
+        _write_mitsuba,
+        ("model", "budget", "colour_budget"),
+    ),
+    "mitsuba-plugin": Format(
+        "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
+        "xml",
+        lambda store, dataset_id, path, _: write_plugin_scene(store, dataset_id, path),
     ),
 }
 """By the name that `goniometer export --to` takes."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from analysis.bsdf_search import Budget
 from analysis.errors import AnalysisError
 from api.derive import Export, slug, write_bytes
 from api.package_texts import Part, Published, texts
@@ -89,7 +90,7 @@ def _derived(store: Store, dataset_id: int) -> tuple[list[Part], list[str]]:
     bsdf = f"fits/{slug(store.dataset(dataset_id).sample)}.bsdf"
     wanted: tuple[tuple[str, Callable[[Store, int, Path], Export], str], ...] = (
         ("fits/analysis.json", write_fits, "All fits with their uncertainties and verdicts"),
-        (bsdf, write_mitsuba, "The fitted model for Mitsuba 3"),
+        (bsdf, _write_bsdf, "The fitted model for Mitsuba 3"),
         ("report.html", write_dataset_report, "Report with figures, one file for any browser"),
     )
     parts, notes = [], []
@@ -105,6 +106,10 @@ def _derived(store: Store, dataset_id: int) -> tuple[list[Part], list[str]]:
                 told = about if file.name == last else f"Belongs to {last}"
                 parts.append(Part(f"{inside}/{file.relative_to(folder)}".lstrip("/"), file.read_bytes(), told))
     return parts, notes
+
+
+def _write_bsdf(store: Store, dataset_id: int, path: Path) -> Export:
+    return write_mitsuba(store, dataset_id, path, None, Budget())
 
 
 def _attached(files: tuple[Path, ...]) -> list[Part]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
-from sqlalchemy import Row, Update, delete, select, update
+from sqlalchemy import Row, Update, bindparam, delete, select, update
 
 from api.accounts import Role, add_user, all_users, at_least, lower, user
 from goniometer.database import Database, insert_row
@@ -29,6 +29,19 @@ OLD = timedelta(days=7)
 log = logging.getLogger(__name__)
 _NOTED = timedelta(minutes=1)
 """How exactly the last use of a token or session is known; noting every use would write for every reading."""
+
+# Built once, because every request of the service asks one of these.
+_OF_TOKEN = (
+    select(tokens, users.c.role.label("owner_role"))
+    .join(users)
+    .where(tokens.c.hash == bindparam("hash"), ~users.c.disabled)
+)
+_OF_SESSION = (
+    select(sessions, users.c.role, tokens.c.role.label("token_role"), tokens.c.expires)
+    .join(users, users.c.name == sessions.c.user)
+    .outerjoin(tokens, tokens.c.id == sessions.c.token_id)
+    .where(sessions.c.hash == bindparam("hash"), ~users.c.disabled)
+)
 
 
 @dataclass(frozen=True)
@@ -89,17 +102,27 @@ def create_token(
     return text, token(database, made)
 
 
-def first_token(database: Database) -> str | None:
-    """Where nobody may use the service yet: a token of a new admin who is called "local"; else None."""
+def ensure_first_user(database: Database) -> bool:
+    """Where nobody may use the service yet, let in an admin called "local", whom only tokens let in; whether it did."""
     if all_users(database):
-        return None
+        return False
     add_user(database, FIRST_USER, "admin", None)
+    return True
+
+
+def first_token(database: Database) -> str | None:
+    """Where nobody may use the service yet: a token of a new admin; else None."""
+    if not ensure_first_user(database):
+        return None
     return create_token(database, FIRST_USER, "made at the first start")[0]
 
 
 def token(database: Database, token_id: int) -> Token:
     """One token; raises `NotInStore`."""
-    return _to_token(database.row(select(tokens).where(tokens.c.id == token_id), f"token {token_id}"))
+    found = database.rows(select(tokens).where(tokens.c.id == token_id))
+    if not found:
+        raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+    return _to_token(found[0])
 
 
 def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
@@ -110,15 +133,14 @@ def all_tokens(database: Database, owner: str | None = None) -> list[Token]:
 
 def revoke_token(database: Database, token_id: int) -> None:
     """Make a token worthless and end the sessions that began with it; raises `NotInStore`."""
+    token(database, token_id)
     with database.writing() as connection:
-        if connection.execute(delete(tokens).where(tokens.c.id == token_id)).rowcount == 0:
-            raise NotInStore(f"There is no token {token_id}; list them with: goniometer token list")
+        connection.execute(delete(tokens).where(tokens.c.id == token_id))
 
 
 def token_caller(database: Database, text: str) -> Caller | None:
     """Whose token this is; None where it is nobody's, has expired, or its owner is kept out."""
-    query = select(tokens, users.c.role.label("owner_role")).join(users)
-    found = database.rows(query.where(tokens.c.hash == _digest(text), ~users.c.disabled))
+    found = database.rows(_OF_TOKEN, {"hash": _digest(text)})
     if not found or _is_past(found[0].expires):
         return None
     row = found[0]
@@ -127,12 +149,18 @@ def token_caller(database: Database, text: str) -> Caller | None:
     return Caller(row.user, lower(row.role, row.owner_role), "token", row.id)
 
 
-def begin_session(database: Database, name: str, token_id: int | None = None) -> str:
-    """The secret of a new session of somebody who has shown their password, or this token of theirs."""
+def begin_session(database: Database, name: str, token_id: int | None = None, instead_of: str | None = None) -> str:
+    """The secret of a new session of somebody who has shown their password, or this token of theirs.
+
+    It takes the place of the one that their browser had before.
+    """
     secret = secrets.token_urlsafe(32)
     oldest, stale = (_text_of(datetime.now(UTC) - age) for age in (OLD, IDLE))
     with database.writing() as connection:
-        connection.execute(delete(sessions).where((sessions.c.created < oldest) | (sessions.c.used < stale)))
+        over = (
+            (sessions.c.created < oldest) | (sessions.c.used < stale) | (sessions.c.hash == _digest(instead_of or ""))
+        )
+        connection.execute(delete(sessions).where(over))
         row = {"hash": _digest(secret), "user": name, "token_id": token_id, "created": now(), "used": now()}
         connection.execute(sessions.insert().values(**row))
     return secret
@@ -140,18 +168,7 @@ def begin_session(database: Database, name: str, token_id: int | None = None) ->
 
 def session_caller(database: Database, secret: str) -> Caller | None:
     """Whose session this is; None where it is nobody's or has ended."""
-    query = (
-        select(
-            sessions,
-            users.c.role,
-            tokens.c.role.label("token_role"),
-            tokens.c.expires,
-        )
-        .join(users, users.c.name == sessions.c.user)
-        .outerjoin(tokens, tokens.c.id == sessions.c.token_id)
-        .where(sessions.c.hash == _digest(secret), ~users.c.disabled)
-    )
-    found = database.rows(query)
+    found = database.rows(_OF_SESSION, {"hash": _digest(secret)})
     if not found:
         return None
     row = found[0]

@@ -1,5 +1,6 @@
 """Which datasets there are in the database, told without reading their numbers."""
 
+from collections import Counter
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -109,6 +110,18 @@ class Catalogue(Database):
         if after is not None:
             query = query.where(here.id < after if newest else here.id > after)
         return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+
+    def recalibrations(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets that were made anew from this one, oldest first."""
+        here = tables.datasets.c
+        query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
+        return [row.id for row in self.rows(query)]
+
+    def dataset_counts(self) -> dict[str, int]:
+        """How many datasets there are by the name of their sample, without the number of a repeat."""
+        name = func.coalesce(tables.scans.c.sample, tables.datasets.c.sample)
+        query = select(name.label("sample")).select_from(tables.datasets.outerjoin(tables.scans))
+        return Counter(row.sample for row in self.rows(query))
 
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""

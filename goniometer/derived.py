@@ -4,11 +4,12 @@ These rows are only ever added, each as one committed transaction that is on the
 """
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import Row, func, select
 
 from goniometer import tables
 from goniometer.catalogue import Catalogue, facts_of
@@ -20,6 +21,24 @@ from goniometer.records import Characterisation, StoredText, now, pack_dataset, 
 def software_version() -> str:
     """Version of this program, as written beside everything derived."""
     return version("goniometer")
+
+
+@dataclass(frozen=True)
+class ExportRow:
+    """A file that was written from a dataset."""
+
+    id: int
+    dataset_id: int
+    path: str
+    format: str
+    sha256: str
+    """Of what was written."""
+    created: str
+    """ISO 8601 in UTC."""
+
+
+def _export(row: Row[Any]) -> ExportRow:
+    return ExportRow(**row._mapping)
 
 
 class Derived(Catalogue):
@@ -97,6 +116,11 @@ class Derived(Catalogue):
         query = select(tables.fits).where(tables.fits.c.dataset_id == dataset_id).order_by(tables.fits.c.id)
         return [StoredText(row.id, row.dataset_id, row.model, row.json) for row in self.rows(query)]
 
+    def newest_fit(self, dataset_id: int) -> int:
+        """Id of the newest fit of a dataset; 0 where it has none."""
+        query = select(func.max(tables.fits.c.id).label("id")).where(tables.fits.c.dataset_id == dataset_id)
+        return int(self.rows(query)[0].id or 0)
+
     def add_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> int:
         """Note that a file was written from a dataset; returns the export's id."""
         with self.writing() as connection:
@@ -114,6 +138,20 @@ class Derived(Catalogue):
         """All files written from a dataset, oldest first."""
         query = select(tables.exports).where(tables.exports.c.dataset_id == dataset_id).order_by(tables.exports.c.id)
         return [StoredText(row.id, row.dataset_id, row.format, row.path) for row in self.rows(query)]
+
+    def fit(self, fit_id: int) -> StoredText:
+        """One fit; raises `NotInStore`."""
+        row = self.row(select(tables.fits).where(tables.fits.c.id == fit_id), f"fit {fit_id}")
+        return StoredText(row.id, row.dataset_id, row.model, row.json)
+
+    def export(self, export_id: int) -> ExportRow:
+        """One file that was written; raises `NotInStore`."""
+        return _export(self.row(select(tables.exports).where(tables.exports.c.id == export_id), f"export {export_id}"))
+
+    def export_rows(self, dataset_id: int) -> list[ExportRow]:
+        """All files written from a dataset with all that is known of them, oldest first."""
+        query = select(tables.exports).where(tables.exports.c.dataset_id == dataset_id).order_by(tables.exports.c.id)
+        return [_export(row) for row in self.rows(query)]
 
     # The bench itself
 

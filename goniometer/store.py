@@ -7,6 +7,7 @@ written together or not at all.
 
 import json
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -45,6 +46,7 @@ _REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 
 
+@cache  # to build it takes longer than to ask it
 def _counted_scans() -> Subquery:
     """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
     here = tables.scans.c
@@ -429,3 +431,8 @@ class Store(Derived):
             )
             for row in self.rows(query)
         ]
+
+    def exposures_of_point(self, point_id: int) -> list[int]:
+        """Ids of all raw exposures of a point, in the order in which they were written."""
+        here = tables.exposures.c
+        return [row.id for row in self.rows(select(here.id).where(here.point_id == point_id).order_by(here.id))]

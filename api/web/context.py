@@ -2,7 +2,7 @@
 
 from typing import Annotated, cast
 
-from fastapi import Depends, Request
+from fastapi import Depends, Path, Request
 
 from api.live import Live
 
@@ -13,3 +13,6 @@ def _live(request: Request) -> Live:
 
 Here = Annotated[Live, Depends(_live)]
 """The running service, as the parameter of an endpoint."""
+
+Number = Annotated[int, Path(ge=1, lt=2**63, description="Its id.")]
+"""The id of something, in the path of an endpoint; what is larger is no number of SQLite."""

@@ -1,0 +1,8 @@
+export interface LineageNode {
+  kind: string;
+  title: string;
+  href: string | null;
+  ids: number[];
+  about: Record<string, string>;
+  sources: LineageNode[];
+}
