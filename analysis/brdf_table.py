@@ -2,34 +2,32 @@
 
 An isotropic surface of microfacets has f = V(i, o) Q(theta_h, theta_d): V the visibility, Smith's masking over
 4 cos_i cos_o, and Q what light a facet reflects. A direction out of the plane takes Q from the one in the plane with
-the same theta_h and theta_d, theta_in = theta_d + theta_h and theta_out = theta_d - theta_h (Rusinkiewicz 1998). Where
-these two exceed a right angle there is no such direction: the table then continues with its last value, and what a
-scene asks of it there is said to be not measurable (`analysis.asked`).
+the same theta_h and theta_d, theta_in = theta_d + theta_h and theta_out = theta_d - theta_h (Rusinkiewicz 1998). A
+surface that scatters below it as well has no such Q: in the place of V stands what a model without shift, fitted to it,
+gives for i and o, and Q is by how much the measurement differs. Where the two angles exceed a right angle there is no
+such direction: the table then continues with its last value, and what a scene asks of it there is said to be not
+measurable (`analysis.asked`).
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky
 
-from analysis.colour import COLOUR_RANGE, observer, xyz_weights
+from analysis.brdf_draws import DARKEST, DRAWS, drawn_errors
+from analysis.colour import COLOUR_RANGE, xyz_weights
 from analysis.directions import Directions, in_plane, round_aperture, through_aperture
 from analysis.distributions import lobe, ndf
+from analysis.vertices import Reflectance
 from drivers.arrays import FloatArray
-from goniometer.between import Between, interpolate
+from goniometer.between import interpolate
 from goniometer.dataset import Dataset
 from goniometer.geometry import LARGEST_ANGLE
-from goniometer.kernel import coordinates, covariance, variance
 
 ROWS, COLUMNS = 72, 31
 """Nodes in theta_h, dense in the lobe, and in theta_d."""
 
-DRAWS = 40
-"""Of what the measurement does not know."""
-
 _MARGIN = 12.0
-_DARKEST = 1e-7
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ class BrdfTable:
     """[wavelengths] nm."""
     log_q: FloatArray
     """[rows, columns, wavelengths]"""
-    alpha: float | None
-    """Roughness of the visibility; None where Q is the BRDF itself, as of a surface that scatters below it."""
+    guide: Reflectance
+    """What the BRDF is Q times of: a visibility, or a model."""
 
     def __call__(self, directions: Directions, wavelengths: FloatArray) -> FloatArray:
         """BRDF [vertices, wavelengths], 1/sr; linear between the table's wavelengths, constant beyond them."""
@@ -55,7 +53,7 @@ class BrdfTable:
         part = np.clip((wavelengths - self.wavelengths[upper - 1]) / step, 0, 1)
         at = self.log_q[..., upper - 1] * (1 - part) + self.log_q[..., upper] * part
         above = (directions.cos_i > 0) & (directions.cos_o > 0)
-        return np.asarray((above * visibility(directions, self.alpha))[:, None] * np.exp(at_nodes(at, place)))
+        return np.asarray(above[:, None] * self.guide(directions, wavelengths) * np.exp(at_nodes(at, place)))
 
 
 @dataclass(frozen=True)
@@ -64,14 +62,20 @@ class Reference:
 
     table: BrdfTable
     draws: FloatArray
-    """[draws, rows, columns] errors of ln f that are as probable as the measurement's uncertainty says."""
+    """[draws, rows, columns, 3] errors of ln X, ln Y and ln Z that are as probable as the measurement's uncertainty
+    says."""
 
 
-def visibility(directions: Directions, alpha: float | None) -> FloatArray:
-    """[...] Smith's masking of GGX over 4 cos_i cos_o; one without `alpha`."""
-    if alpha is None:
-        return np.ones_like(directions.cos_i)
-    return np.asarray(lobe(directions, alpha) / ndf(np.maximum(directions.cos_m, 1e-3), alpha))
+@dataclass(frozen=True)
+class Visibility:
+    """Smith's masking of GGX over 4 cos_i cos_o, the guide of a metal."""
+
+    alpha: float
+
+    def __call__(self, directions: Directions, wavelengths: FloatArray) -> FloatArray:
+        """[vertices, wavelengths], 1/sr."""
+        masking = lobe(directions, self.alpha) / ndf(np.maximum(directions.cos_m, 1e-3), self.alpha)
+        return np.broadcast_to(masking[:, None], (masking.size, wavelengths.size))
 
 
 Place = tuple[FloatArray, FloatArray]
@@ -98,29 +102,55 @@ def at_nodes(values: FloatArray, place: Place) -> FloatArray:
     return np.asarray(below * (1 - r) + above * r).reshape(len(row), *values.shape[2:])
 
 
-def reference_table(dataset: Dataset, alpha: float, *, metal: bool, seed: int = 1) -> Reference:
+def reference_table(dataset: Dataset, alpha: float, guides: tuple[Reflectance, ...] = (), seed: int = 1) -> Reference:
     """The BRDF that a dataset measured, read between its points by the process that interpolates it.
 
-    `alpha` is about the roughness: the table is dense in such a lobe, and what the aperture did to it is undone as for
-    GGX. Only of a metal does Q come without its visibility. Raises `CalibrationError` for too few points, and
-    `OutOfRange` for wavelengths that a colour cannot be told from.
+    `alpha` is about the roughness: the table is dense in such a lobe. `guides` are models of what scatters below its
+    surface, too, of which the one is taken that the measured points differ from most evenly; without any it is a metal.
+    What the aperture did to the BRDF is undone as for the guide, or GGX. Raises `CalibrationError` for too few points,
+    and `OutOfRange` for wavelengths that a colour cannot be told from.
     """
     xyz_weights(dataset.wavelengths)  # which refuses those without a colour
     seen = _visible(dataset)
     theta_h, theta_d = table_nodes(alpha)
     in_angle, out_angle = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
     read = interpolate(seen, in_angle, out_angle)
-    directions = in_plane(in_angle, out_angle)
-    masking = alpha if metal else None
-    brdf = np.maximum(read.brdf, _DARKEST)
-    if metal and dataset.aperture > 0:
-        aperture = round_aperture(dataset.aperture, rings=12, spokes=24)
-        through = lobe(through_aperture(in_angle, out_angle, aperture), alpha) @ aperture.weights
-        brdf = brdf * (lobe(directions, alpha) / through)[:, None]
+    brdf = np.maximum(read.brdf, DARKEST)
+    guide = _most_even(seen, guides) if guides else None
+    if dataset.aperture > 0:
+        brdf = brdf * _sharper(in_angle, out_angle, seen, alpha, guide)
+    form = guide or Visibility(alpha)
+    log_q = np.log(brdf / np.maximum(form(in_plane(in_angle, out_angle), seen.wavelengths), DARKEST))
     shape = (theta_h.size, theta_d.size)
-    log_q = np.log(brdf / visibility(directions, masking)[:, None])
-    table = BrdfTable(theta_h, theta_d, seen.wavelengths, log_q.reshape(*shape, -1), masking)
-    return Reference(table, _draws(read, seed).reshape(DRAWS, *shape))
+    table = BrdfTable(theta_h, theta_d, seen.wavelengths, log_q.reshape(*shape, -1), form)
+    return Reference(table, drawn_errors(seen, read, seed).reshape(DRAWS, *shape, 3))
+
+
+def _most_even(dataset: Dataset, guides: tuple[Reflectance, ...]) -> Reflectance:
+    """The guide to which the ratio of the measured BRDF, one number for each direction, varies least."""
+    usable = np.flatnonzero(dataset.usable)
+    directions = in_plane(dataset.theta_in[usable], dataset.theta_out[usable])
+    measured = np.maximum(np.nan_to_num(dataset.brdf[usable]), 0.0).mean(axis=1)
+
+    def unevenness(guide: Reflectance) -> float:
+        of_guide = guide(directions, dataset.wavelengths).mean(axis=1)
+        return float(np.std(np.log(np.maximum(measured, DARKEST) / of_guide)))
+
+    return min(guides, key=unevenness)
+
+
+def _sharper(
+    theta_in: FloatArray, theta_out: FloatArray, dataset: Dataset, alpha: float, guide: Reflectance | None
+) -> FloatArray:
+    """[points, wavelengths or 1] by how much a direction is brighter than its mean over the aperture."""
+    aperture = round_aperture(dataset.aperture, rings=12, spokes=24)
+    through, centre = through_aperture(theta_in, theta_out, aperture), in_plane(theta_in, theta_out)
+    if guide is None:
+        return np.asarray((lobe(centre, alpha) / (lobe(through, alpha) @ aperture.weights))[:, None])
+    middle = dataset.wavelengths[[dataset.wavelengths.size // 2]]
+    flat = Directions(*(np.broadcast_to(cosine, through.cos_o.shape).ravel() for cosine in through))
+    mean = guide(flat, middle).reshape(through.cos_o.shape) @ aperture.weights
+    return np.asarray(guide(centre, middle) / np.maximum(mean, DARKEST)[:, None])
 
 
 def folded(theta_h: FloatArray, theta_d: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -152,24 +182,3 @@ def _visible(dataset: Dataset) -> Dataset:
     stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
     bands = np.union1d(bands[::stride], bands[-1:])
     return dataset.at_wavelengths(bands)
-
-
-def _draws(read: Between, seed: int) -> FloatArray:
-    """[draws, nodes] errors of ln f, as of all wavelengths together, weighted as the eye does.
-
-    What comes from reading between the points, and from their noise, is alike in neighbouring directions by the
-    covariance of the process; what the wavelengths share of the measurement is one number for all directions.
-    """
-    luminous = observer(read.wavelengths)[:, 1]
-    luminous = luminous / luminous.sum()
-    level = np.maximum(read.brdf, _DARKEST)
-    own, total = ((np.minimum(u / level, 1.0)) @ luminous for u in (read.u, read.u_total))
-    shared = np.sqrt(np.maximum(total**2 - own**2, 0.0))
-    at = coordinates(read.theta_in, read.theta_out, read.shape.lobe)
-    sigma = np.sqrt(variance(at, read.shape.scales))
-    correlation = covariance(at, at, read.shape.scales) / np.outer(sigma, sigma)
-    correlation[np.diag_indices_from(correlation)] += 1e-6
-    factor = cholesky(correlation, lower=True, overwrite_a=True, check_finite=False)
-    random = np.random.default_rng(seed)
-    fields = random.standard_normal((DRAWS, own.size)) @ factor.T
-    return np.asarray(own * fields + shared * random.standard_normal((DRAWS, 1)))

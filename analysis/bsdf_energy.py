@@ -93,7 +93,7 @@ def albedo(reflectance: Reflectance, alpha: float, angles: FloatArray, wavelengt
 
 
 def file_albedo(bsdf: MeasuredBsdf, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Angles [angles], degrees, those of the file's tables among them, and A there [angles, wavelengths of the file]."""
+    """Angles [angles], degrees, those of the tables among them, and A of a file there [angles, wavelengths]."""
     nodes = np.degrees(bsdf.theta_i)
     angles = np.union1d(nodes[nodes <= STEEPEST], np.append(np.linspace(0, 84, 29), np.linspace(84.5, STEEPEST, 11)))
     found = np.empty((angles.size, bsdf.wavelengths.size))
@@ -111,7 +111,7 @@ def darkening(bsdf: MeasuredBsdf, alpha: float) -> FloatArray:
     """
     angles, light = file_albedo(bsdf, alpha)
     nodes = np.degrees(bsdf.theta_i)
-    between = [light[(angles >= low) & (angles <= high)].max(axis=0) for low, high in pairwise(nodes)]
+    between = [light[(angles >= low) & (angles <= high)].max(axis=0, initial=0) for low, high in pairwise(nodes)]
     around = np.pad(between, ((1, 1), (0, 0)))
     return np.asarray(1 / np.maximum(1, np.maximum(around[1:], around[:-1])))
 

@@ -2,10 +2,14 @@
 
 The plugin `measured` of Mitsuba 3, and PBRT, compute f cos(theta_o) = spectra(s) ndf(u) / (4 sigma), see
 `analysis.measured_bsdf`. With sigma = cos(theta_i) / G1(i) of GGX, and for ndf what the reflectance itself has along
-its retro direction, 4 sigma(theta_m)^2 f(theta_m, -theta_m), what is left for the table is bounded and smooth: for a
-Cook-Torrance lobe this ndf is D F(0) without its masking, for a lobe above diffuse light it follows both. So the steep
-lobe never has to be interpolated coarsely, of whatever distribution it is. A share of the table's nodes may follow the
-normals that are visible from theta_i; the others are even in sqrt(theta_m) and phi_m.
+its retro direction,
+
+    ndf(theta_m) = 4 sigma(theta_m)^2 (f(theta_m, -theta_m) - base) + 4 base,
+
+what is left for the table is bounded and smooth. For a Cook-Torrance lobe this ndf is D F(0), of whatever distribution
+it is, so the steep lobe never has to be interpolated coarsely; `base` is what is alike in all directions, the diffuse
+light below a lobe, of which the table then has cos(theta_o). A share of the table's nodes may follow the normals that
+are visible from theta_i; the others are even in sqrt(theta_m) and phi_m.
 
 Conventions: u_x = sqrt(2 theta_m / pi), phi_m - phi_i = (2 u_y - 1) pi.
 """
@@ -57,27 +61,29 @@ def bsdf_content(reflectance: Reflectance, alpha: float, wavelengths: FloatArray
     return encode(bsdf_fields(reflectance, alpha, wavelengths, USUAL_GRID, lobe))
 
 
-def lobe_table(reflectance: Reflectance, alpha: float, wavelengths: FloatArray, nodes: int) -> FloatArray:
-    """[nodes] of the table ndf, even in sqrt(theta_m), 1/sr: the mean over `wavelengths` along the retro direction."""
+def lobe_table(
+    reflectance: Reflectance, alpha: float, wavelengths: FloatArray, nodes: int, base: float = 0.0
+) -> FloatArray:
+    """[nodes] of the table ndf, even in sqrt(theta_m), 1/sr, of the mean over `wavelengths`; `base` in 1/sr."""
     cos_m = np.maximum(np.cos(np.linspace(0, 1, nodes) ** 2 * (np.pi / 2)), LOWEST_COS)
     retro = reflectance(Directions(cos_m, cos_m, cos_m, np.ones(nodes)), wavelengths).mean(axis=1)
-    value = retro * 4 * projected_area(np.arccos(cos_m), alpha) ** 2
+    value = 4 * (np.maximum(retro - base, 0.0) * projected_area(np.arccos(cos_m), alpha) ** 2 + base)
     return np.asarray(np.maximum(value, _DARKEST_LOBE * value.max()), dtype="f4").astype(float)
 
 
 def fine_lobe_table(
-    reflectance: Reflectance, alpha: float, wavelengths: FloatArray, tolerance: float, faintest: float
+    reflectance: Reflectance, alpha: float, wavelengths: FloatArray, base: float, tolerance: float, faintest: float
 ) -> FloatArray:
     """The smallest `lobe_table` that is linear between its nodes to the relative `tolerance`.
 
     Where it is below `faintest`, 1/sr, it may err by this much. The largest of `LOBE_NODES` where none is good enough.
     """
     for nodes in LOBE_NODES[:-1]:
-        table = lobe_table(reflectance, alpha, wavelengths, nodes)
-        between = lobe_table(reflectance, alpha, wavelengths, 2 * nodes - 1)[1::2]
+        table = lobe_table(reflectance, alpha, wavelengths, nodes, base)
+        between = lobe_table(reflectance, alpha, wavelengths, 2 * nodes - 1, base)[1::2]
         if np.max(np.abs(0.5 * (table[1:] + table[:-1]) - between) / np.maximum(between, faintest)) <= tolerance:
             return table
-    return lobe_table(reflectance, alpha, wavelengths, LOBE_NODES[-1])
+    return lobe_table(reflectance, alpha, wavelengths, LOBE_NODES[-1], base)
 
 
 def bsdf_fields(
@@ -172,9 +178,9 @@ def _visible_normals(lobe: FloatArray, theta_i: FloatArray, share: float) -> Flo
 def _warp(density: FloatArray, even: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Where samples on a grid fall under a bilinear density [rows, columns] of the unit square, and its value there.
 
-    The samples are all pairs of `even` [n] from 0 to 1 and its first `count`, the former the faster one: u [n * count, 2]
-    and the value [n * count]. The second coordinate is inverted through the marginal over rows first, then the first
-    within the row.
+    The samples are all pairs of `even` [n] from 0 to 1 and its first `count`, the former the faster one; found are
+    u [n * count, 2] and the value [n * count]. The second coordinate is inverted through the marginal over rows first,
+    then the first within the row.
     """
     rows = density.shape[0]
     along = _running_integral(density)

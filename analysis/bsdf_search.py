@@ -1,9 +1,9 @@
 """The smallest tables of a `.bsdf` file that keep an error budget: how many wavelengths, angles and nodes, and where.
 
-Wavelength nodes and the nodes of directions are sought one after the other, because the tables are linear in both: a
-half of the budget is for the wavelengths, and the directions get what these leave. From a coarse grid on, whichever of
-theta_i and the square gains more accuracy for its bytes gets more nodes until the error is small enough; then nodes
-are taken away again where that does no harm.
+Wavelength nodes and the nodes of directions are sought one after the other, because the tables are linear in both: half
+of the budget is for the wavelengths, and the directions get what these leave of it in each direction. From a coarse
+grid on, whichever of theta_i and the square gains more accuracy for its bytes gets more nodes until the error is small
+enough; then nodes are taken away again where that does no harm.
 """
 
 import math
@@ -42,36 +42,45 @@ class Budget:
     """99th percentile of CIEDE2000 with brightness; 1 is about what an eye can tell."""
 
 
-def wavelength_nodes(model: RenderedModel, budget: Budget) -> tuple[FloatArray, float]:
-    """Few wavelengths, nm, between which a linear table keeps half of the budget, and the relative error they leave.
+USUAL_BUDGET = Budget()
 
-    Nodes are added where the error is largest, and those that proved needless are taken out again.
+
+def wavelength_nodes(model: RenderedModel, budget: Budget) -> tuple[FloatArray, FloatArray]:
+    """Few wavelengths, nm, between which a linear table keeps half of the budget, and what they spend of it.
+
+    The latter is the relative error [pairs] at the pairs of `probe`, the worst of all wavelengths. Nodes are added
+    where the error is largest, and those that proved needless are taken out again.
     """
     fine = np.linspace(*model.wavelengths, _FINE_NODES)
     everything = probe(model, fine)
     few = slice(None, None, _FEW_PAIRS)
     at = Probe(everything.incident[few], everything.reflected[few], fine, everything.exact[few])
 
-    def judged(nodes: list[int]) -> tuple[bool, float, FloatArray]:
-        table = at.exact[:, nodes] @ np.stack([np.interp(fine, fine[nodes], row) for row in np.eye(len(nodes))])
+    def between(nodes: list[int]) -> FloatArray:
+        return np.stack([np.interp(fine, fine[nodes], row) for row in np.eye(len(nodes))])
+
+    def judged(nodes: list[int]) -> tuple[bool, FloatArray]:
+        table = at.exact[:, nodes] @ between(nodes)
         error, colour = at.relative(table).p99, float(np.percentile(at.colours(table), 99))
         within = error <= _SHARE_OF_WAVELENGTHS * budget.error and colour <= _SHARE_OF_WAVELENGTHS * budget.colour
-        return within, error, at.spread(table).max(axis=0)
+        return within, at.spread(table).max(axis=0)
 
     nodes = [0, fine.size - 1]
     while not (state := judged(nodes))[0] and len(nodes) < fine.size:
         missing = np.setdiff1d(np.arange(fine.size), nodes)
-        nodes = sorted([*nodes, int(missing[np.argmax(state[2][missing])])])
+        nodes = sorted([*nodes, int(missing[np.argmax(state[1][missing])])])
     for node in nodes[1:-1]:
         fewer = [other for other in nodes if other != node]
         if judged(fewer)[0]:
             nodes = fewer
-    return fine[nodes], judged(nodes)[1]
+    spent = everything.spread(everything.exact[:, nodes] @ between(nodes)).max(axis=1)
+    return fine[nodes], np.asarray(spent)
 
 
 def lobe_for(model: RenderedModel, wavelengths: FloatArray, budget: Budget) -> FloatArray:
     """The table ndf of a file with so small an error that the other tables may have the budget."""
-    return fine_lobe_table(model.reflectance, model.alpha, wavelengths, _SHARE_OF_LOBE * budget.error, 4 * FAINTEST)
+    tolerance = _SHARE_OF_LOBE * budget.error
+    return fine_lobe_table(model.reflectance, model.alpha, wavelengths, model.base, tolerance, 4 * FAINTEST)
 
 
 def smallest_grid(
@@ -79,12 +88,14 @@ def smallest_grid(
     wavelengths: FloatArray,
     lobe: FloatArray,
     share: float,
+    spent: FloatArray,
     target: float,
     limit: int = LARGEST_SIZE,
-) -> Grid:
-    """The grid of the smallest tables whose 99th percentile of the relative error is below `target`.
+) -> tuple[Grid, bool]:
+    """The grid of the smallest tables whose 99th percentile of the relative error is below `target`, and whether it is.
 
-    `share` as of `Grid`. The best of the grids that were tried where none of less than `limit` bytes is good enough.
+    `share` as of `Grid`; `spent` [pairs] as of `wavelength_nodes` adds to the error. Where no grid of less than `limit`
+    bytes is good enough, it is the best of those that were tried.
     """
     few = wavelengths[np.unique(np.linspace(0, wavelengths.size - 1, _FEW_WAVELENGTHS).round().astype(int))]
     at = probe(model, few)
@@ -99,7 +110,8 @@ def smallest_grid(
     def error(place: tuple[int, int]) -> float:
         if place not in known:
             fields = bsdf_fields(model.reflectance, model.alpha, few, grid(place), lobe)
-            known[place] = at.relative(read_back(read_bsdf(encode(fields)), at)).p99
+            worst = at.spread(read_back(read_bsdf(encode(fields)), at)).max(axis=-1)
+            known[place] = float(np.percentile(worst + spent, 99))
         return known[place]
 
     def more(place: tuple[int, int]) -> list[tuple[int, int]]:
@@ -115,9 +127,9 @@ def smallest_grid(
         gains = {step: math.log(error(here) / error(step)) / math.log(size(step) / size(here)) for step in steps}
         here = max(steps, key=lambda step: gains[step])
     if error(here) > target:
-        return grid(min(known, key=lambda place: known[place]))
+        return grid(min(known, key=lambda place: known[place])), False
     while fewer := [
         step for step in ((here[0] - 1, here[1]), (here[0], here[1] - 1)) if min(step) >= 0 and error(step) <= target
     ]:
         here = min(fewer, key=size)
-    return grid(here)
+    return grid(here), True

@@ -3,7 +3,9 @@
 The error of a rung is the mean CIEDE2000 over the pixels that show the material, between what it and what the
 measurement make of the scene, both shown with one exposure. It is uncertain for two reasons, and both are carried
 along. The measurement does not know everything: draws of its errors give as many scenes that are as probable, the
-expected error of a rung is the mean over them, and its interval holds most of them. And the trace has few samples,
+expected error of a rung is the mean over them, and its interval holds most of them. A model that is no further from
+the measurement than the measurement may be from the truth may be the truth but for its parameters, which may be known
+better: its interval then holds what their errors make as well. And the trace has few samples,
 which its two halves tell: a rung meets the tolerance, or is refused, when the expected error is on that side of it by
 two standard errors of the trace; else it is undetermined, and more samples are asked for before this is the answer. The
 ladder is not monotone, so every rung is looked at; it is not climbed.
@@ -19,7 +21,7 @@ import numpy as np
 from analysis.asked import Asked, asked
 from analysis.brdf_table import Reference, at_nodes, between_nodes
 from analysis.fresnel import Conductor
-from analysis.ladder import Rung, ladder, table_rung
+from analysis.ladder import DOUBT_STEP, Rung, ladder, table_rung
 from analysis.results import ModelFit
 from analysis.vertices import DARK, Display, Vertices, display_for, image, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
@@ -35,6 +37,9 @@ FEW_SAMPLES, MANY_SAMPLES = 64, 256
 
 INTERVAL = (5.0, 95.0)
 """Percentiles of the draws between which the interval of an error reaches, before the error of the trace is added."""
+
+DOUBT_NODES = 6
+"""Wavelengths at which it is looked what errors of the parameters do."""
 
 _STANDARD_ERRORS = 2.0
 
@@ -53,7 +58,8 @@ class Score:
     u_trace: float
     """Standard error of `mean` and `expected` by the samples of the trace."""
     low: float
-    """Ends of the interval: 90 % of what the measurement leaves possible, and two `u_trace` beyond."""
+    """Ends of the interval: 90 % of what the measurement leaves possible, and two `u_trace` beyond; of a model that may
+    be right, also of what the errors of its parameters do to it."""
     high: float
 
 
@@ -144,13 +150,15 @@ def _choose(
 ) -> Choice:
     seen = _Seen.of(vertices, reference)
     rungs = (*ladder(vertices, reference.table, NODES, fits, metal), table_rung(reference.table))
-    judged = tuple(_judged(seen, rung, NODES, tolerance) for rung in rungs)
+    doubts = [_of_parameters(seen, rung) for rung in rungs]
+    judged = tuple(_judged(seen, rung, NODES, tolerance, doubt) for rung, doubt in zip(rungs, doubts, strict=True))
     meeting = next((each for each in judged if each.state == "meets"), None)
     tried: list[Judged] = []
     chosen = meeting
     if meeting is not None:
+        doubt = doubts[judged.index(meeting)]
         for count in FEWER:
-            fewer = _judged(seen, meeting.rung, nodes(count), tolerance)
+            fewer = _judged(seen, meeting.rung, nodes(count), tolerance, doubt)
             if fewer.state == "meets":
                 chosen = fewer
                 break
@@ -183,7 +191,9 @@ class _Seen:
     reference: FloatArray
     """[2, pixels, 3] XYZ of the halves."""
     possible: FloatArray
-    """[draws, pixels, 3] XYZ of what the measurement leaves possible."""
+    """[draws, pixels, 3] XYZ of what the measurement leaves possible,"""
+    own_error: float
+    """and the mean difference from `reference` that all but the farthest of them have."""
     asked: Asked
 
     @classmethod
@@ -193,17 +203,31 @@ class _Seen:
         pixels = to_pixels(vertices, of_vertices)
         place = between_nodes(reference.table, vertices.directions)
         possible = np.stack(
-            [
-                to_pixels(vertices, of_vertices * np.exp(at_nodes(draw, place))[:, None]).mean(axis=0)
-                for draw in reference.draws
-            ]
+            [to_pixels(vertices, of_vertices * np.exp(at_nodes(draw, place))).mean(axis=0) for draw in reference.draws]
         )
         display = display_for(vertices, pixels.mean(axis=0))
-        return cls(vertices, display, pixels, possible, asked(vertices, of_vertices, display))
+        off = [float(display.difference(truth, pixels.mean(axis=0)).mean()) for truth in possible]
+        own_error = float(np.percentile(off, INTERVAL[1]))
+        return cls(vertices, display, pixels, possible, own_error, asked(vertices, of_vertices, display))
 
 
-def _judged(seen: _Seen, rung: Rung, wavelengths: FloatArray, tolerance: float) -> Judged:
-    found = _score(seen, image(seen.vertices, rung.model, wavelengths))
+def _of_parameters(seen: _Seen, rung: Rung) -> FloatArray:
+    """[draws] mean difference of a rung from itself with other parameters that are as probable; none without doubt.
+
+    What small errors of the parameters do to an image is linear in them.
+    """
+    if not rung.doubt:
+        return np.zeros(0)
+    few = nodes(DOUBT_NODES)
+    mine = image(seen.vertices, rung.model, few).mean(axis=0)
+    moved = np.stack([image(seen.vertices, each, few).mean(axis=0) - mine for each in rung.doubt]) / DOUBT_STEP
+    drawn = np.random.default_rng(1).standard_normal((len(seen.possible), len(moved)))
+    others = mine + np.einsum("dk,kpc->dpc", drawn, moved)
+    return np.array([float(seen.display.difference(other, mine).mean()) for other in others])
+
+
+def _judged(seen: _Seen, rung: Rung, wavelengths: FloatArray, tolerance: float, doubt: FloatArray) -> Judged:
+    found = _score(seen, image(seen.vertices, rung.model, wavelengths), doubt)
     edge = _STANDARD_ERRORS * found.u_trace
     state: State
     if rung.unknown:
@@ -218,8 +242,8 @@ def _judged(seen: _Seen, rung: Rung, wavelengths: FloatArray, tolerance: float) 
     return Judged(rung, wavelengths, found, state, rung.nanoseconds(seen.vertices.directions), why)
 
 
-def _score(seen: _Seen, halves: FloatArray) -> Score:
-    """Of an image [2, pixels, 3]."""
+def _score(seen: _Seen, halves: FloatArray, doubt: FloatArray) -> Score:
+    """Of an image [2, pixels, 3]; `doubt` [draws] as of `_of_parameters`."""
     mine = halves.mean(axis=0)
     whole = seen.display.difference(seen.reference.mean(axis=0), mine)
     parts = [seen.display.difference(a, b) for a, b in zip(seen.reference, halves, strict=True)]
@@ -229,7 +253,9 @@ def _score(seen: _Seen, halves: FloatArray) -> Score:
     possible = np.array([float(seen.display.difference(truth, mine).mean()) for truth in seen.possible])
     # the noise of the trace is in all of them as it is in the mean
     possible = np.sqrt(np.maximum(possible**2 - (float(whole.mean()) ** 2 - mean**2), 0.0))
-    low, high = (float(v) for v in np.percentile(possible, INTERVAL))
+    may_be_right = doubt.size > 0 and mean <= seen.own_error
+    ends = np.percentile(possible, INTERVAL), *([np.percentile(doubt, INTERVAL)] if may_be_right else [])
+    low, high = float(np.min(ends)), float(np.max(ends))
     edge = _STANDARD_ERRORS * u_trace
     return Score(mean, p95, float(possible.mean()), u_trace, max(low - edge, 0.0), high + edge)
 

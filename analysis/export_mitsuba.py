@@ -20,7 +20,7 @@ import numpy as np
 from analysis.bsdf_energy import HIGHEST_ALBEDO, Clamped, clamp, darkening, file_albedo, sampling_noise
 from analysis.bsdf_error import LARGEST_TESTED_ANGLE, PAIRS, RelativeError, probe, read_back
 from analysis.bsdf_fields import Grid, bsdf_fields, size_of
-from analysis.bsdf_search import LARGEST_SIZE, Budget, lobe_for, smallest_grid, wavelength_nodes
+from analysis.bsdf_search import LARGEST_SIZE, USUAL_BUDGET, Budget, lobe_for, smallest_grid, wavelength_nodes
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor
 from analysis.ladder import Model
@@ -38,6 +38,8 @@ NOISIEST = 0.5
 """Relative standard deviation of a sample's weight beyond which a layout is not taken if the other one has less."""
 
 _TESTED_WAVELENGTHS = 48
+_PARTS_OF_BUDGET = (1.0, 0.85)
+"""For which tables are sought, in turn; the second where the colours or the other wavelengths want more than sought."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ class BsdfReport:
         return _within(self.written, self.budget)
 
 
-def write_bsdf(path: Path, model: Model, budget: Budget = Budget(), *, about: str = "") -> BsdfReport:
+def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about: str = "") -> BsdfReport:
     """Write a model of the ladder to `path`, in the smallest file that keeps `budget`, or in the best one there is.
 
     `about` opens the description inside the file. Raises `OutOfRange` where the model does not cover 400 to 700 nm,
@@ -105,9 +107,12 @@ def write_bsdf(path: Path, model: Model, budget: Budget = Budget(), *, about: st
     fields: dict[str, dict[str, Tensor]] = {}
     limit = LARGEST_SIZE
     for layout, share in LAYOUTS.items():
-        grid = smallest_grid(whole, wavelengths, lobe, share, budget.error - spent, limit)
-        fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
-        tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
+        for part in _PARTS_OF_BUDGET:
+            grid, found = smallest_grid(whole, wavelengths, lobe, share, spent, part * budget.error, limit)
+            fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
+            tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
+            if not found or _within(tried[layout], budget):
+                break
         if _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
             limit = min(limit, tried[layout].size)
     layout = min(tried, key=lambda name: _rank(tried[name], budget))
@@ -122,7 +127,7 @@ def write_bsdf(path: Path, model: Model, budget: Budget = Budget(), *, about: st
 
 
 def write_fit(
-    path: Path, fit: ModelFit, dataset: Dataset, conductor: Conductor, budget: Budget = Budget()
+    path: Path, fit: ModelFit, dataset: Dataset, conductor: Conductor, budget: Budget = USUAL_BUDGET
 ) -> BsdfReport:
     """Write the fit of a microfacet model to `path`, described by what it was fitted to.
 
@@ -226,8 +231,8 @@ def _said(clamped: Clamped | None) -> str:
     lowest = clamped.factor[angle, wavelength]
     return (
         f"Clamped: the model reflects more light than falls on it, up to {1 / lowest:.3f} of it (at "
-        f"{clamped.angles[angle]:g} deg, {clamped.wavelengths[wavelength]:g} nm), so it is multiplied by the smaller of "
-        f"1 / albedo at theta_i and at theta_o, {lowest:.3f} at least; this concerns {touched[0]:g} to "
+        f"{clamped.angles[angle]:g} deg, {clamped.wavelengths[wavelength]:g} nm), so it is multiplied by the smaller "
+        f"of 1 / albedo at theta_i and at theta_o, {lowest:.3f} at least; this concerns {touched[0]:g} to "
         f"{touched[-1]:g} nm and {angles[0]:g} to {angles[-1]:g} deg."
     )
 
@@ -246,11 +251,11 @@ def _description(
         *([about] if about else []),
         f"{model.words}.",
         f"Beyond {model.wavelengths[0]:g} to {model.wavelengths[1]:g} nm the spectra go on as they end.",
-        f"Table layout {layout}; error of this file against the model at {wavelengths.size} wavelength nodes: relative, "
-        f"worst of {model.wavelengths[0]:g} to {model.wavelengths[1]:g} nm, median {found.error.median:.2g}, 99th "
-        f"percentile {found.error.p99:.2g}, maximum {found.error.maximum:.2g} over {PAIRS} pairs of directions up to "
-        f"{LARGEST_TESTED_ANGLE:g} deg, half of them uniform in solid angle and half within the lobe; 99th percentile "
-        f"of the colour difference {found.colour:.2g} CIEDE2000.",
+        f"Table layout {layout}; error of this file against the model at {wavelengths.size} wavelength nodes: "
+        f"relative, worst of {model.wavelengths[0]:g} to {model.wavelengths[1]:g} nm, median {found.error.median:.2g}, "
+        f"99th percentile {found.error.p99:.2g}, maximum {found.error.maximum:.2g} over {PAIRS} pairs of directions up "
+        f"to {LARGEST_TESTED_ANGLE:g} deg, half of them uniform in solid angle and half within the lobe; 99th "
+        f"percentile of the colour difference {found.colour:.2g} CIEDE2000.",
         f"The error budget of {budget.error:g} and {budget.colour:g} CIEDE2000 is "
         f"{'kept' if _within(found, budget) else 'NOT kept: this is the best file that there is'}.",
         f"Largest albedo in a white furnace {found.albedo:.4f}.",

@@ -1,7 +1,7 @@
 """The ladder of models from Lambert to the table, each as a reflectance that a scene can ask, with what it costs."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -10,7 +10,7 @@ from analysis.brdf_fit import form_of
 from analysis.brdf_table import BrdfTable
 from analysis.directions import Directions
 from analysis.distributions import Distribution, lobe
-from analysis.fresnel import Conductor
+from analysis.fresnel import Conductor, fresnel_dielectric
 from analysis.microfacet import Form, brdf
 from analysis.results import Albedo, ModelFit
 from analysis.vertices import Reflectance, Vertices
@@ -21,6 +21,9 @@ METAL_FITS = ("cook-torrance", "cook-torrance-shift", "two-component")
 
 DIELECTRIC_FITS = ("dielectric", "dielectric-shift", "dielectric-two-component")
 """The same of a dielectric."""
+
+DOUBT_STEP = 0.1
+"""Part of a standard error over which a model is taken as linear in its parameters."""
 
 _TIMED = 20_000
 
@@ -72,6 +75,21 @@ class Microfacet:
         return brdf(self.form, directions, wavelengths, self.parameters, diffuse)
 
 
+@dataclass(frozen=True)
+class ThroughInterface:
+    """A dielectric whose diffuse light has been refracted twice, and is the less the more is reflected."""
+
+    plain: Microfacet
+    """The same with Lambertian diffuse light."""
+
+    def __call__(self, directions: Directions, wavelengths: FloatArray) -> FloatArray:
+        """BRDF [vertices, wavelengths], 1/sr."""
+        whole, surface = (each(directions, wavelengths) for each in (self.plain, replace(self.plain, albedo=None)))
+        eta = float(self.plain.parameters[1])
+        into, out = (1 - fresnel_dielectric(np.maximum(c, 0.0), eta) for c in (directions.cos_i, directions.cos_o))
+        return np.asarray(surface + (into * out)[:, None] * (whole - surface))
+
+
 Model = Lambert | Tinted | Microfacet | BrdfTable
 
 
@@ -87,6 +105,9 @@ class Rung:
     """Numbers that it has besides for each wavelength."""
     unknown: tuple[str, ...] = ()
     """Why it must not be chosen whatever the scene: sentences on what the data do not tell."""
+    doubt: tuple[Model, ...] = ()
+    """The same model with its parameters off by `DOUBT_STEP` of each of the independent errors that make their
+    covariance."""
 
     def parameters(self, wavelengths: int) -> int:
         """How many numbers it has at so many wavelengths; those of a table are its values."""
@@ -127,7 +148,7 @@ def ladder(
         values = np.array([parameter.value for parameter in fit.parameters])
         used = tuple(p.name for p in fit.parameters if math.isfinite(p.standard_error))
         model = Microfacet(form, values, fit.albedo)
-        rungs.append(Rung(fit.model, model, used, 0 if conductor else 1, _unknown(fit)))
+        rungs.append(Rung(fit.model, model, used, 0 if conductor else 1, _unknown(fit), _doubt(model, fit)))
     return tuple(rungs)
 
 
@@ -145,6 +166,29 @@ def _unknown(fit: ModelFit) -> tuple[str, ...]:
     return (f"The data do not tell its {' and '.join(names)}.",)
 
 
+def _doubt(model: Microfacet, fit: ModelFit) -> tuple[Microfacet, ...]:
+    """`model` off by a part of each column of a root of the covariance of its parameters, within what is searched.
+
+    Errors of a diffuse albedo count as one for all wavelengths, as those of a reference are.
+    """
+    u = np.array([p.standard_error for p in fit.parameters])
+    u = np.where(np.isfinite(u), u, 0.0)
+    values, vectors = np.linalg.eigh(fit.correlation * np.outer(u, u))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    low, high = np.array([(quantity.lower, quantity.upper) for quantity in model.form.quantities]).T
+    moved = []
+    for step in DOUBT_STEP * root.T:
+        there = model.parameters + step
+        inside = np.all((there >= low) & (there <= high))
+        other_way = np.clip(model.parameters - step, low, high)
+        moved.append(replace(model, parameters=there if inside else other_way))
+    if model.albedo is not None:
+        known = np.isfinite(model.albedo.u)
+        brighter = model.albedo.values + DOUBT_STEP * np.where(known, model.albedo.u, 0.0)
+        moved.append(replace(model, albedo=replace(model.albedo, values=brighter)))
+    return tuple(moved)
+
+
 def _surest_lobe(fits: tuple[ModelFit, ...]) -> ModelFit:
     """The fit that knows alpha best: one whose colours are wrong is the less certain."""
     return min(fits, key=lambda fit: fit.standard_error("alpha"))
@@ -153,6 +197,17 @@ def _surest_lobe(fits: tuple[ModelFit, ...]) -> ModelFit:
 def roughness(fits: tuple[ModelFit, ...]) -> float:
     """About how rough the material is, by the fit that knows it best."""
     return _surest_lobe(fits).value("alpha")
+
+
+def guides(fits: tuple[ModelFit, ...]) -> tuple[Reflectance, ...]:
+    """How a table of a dielectric may be continued out of the plane: its model without shift, what is scattered below
+    the surface being Lambertian, or lit and seen through the interface. None for a metal."""
+    surest = _surest_lobe(fits)
+    if surest.albedo is None:
+        return ()
+    form = form_of("dielectric", None, surest.distribution or "ggx")
+    plain = Microfacet(form, np.array([surest.value("alpha"), surest.value("eta")]), surest.albedo)
+    return plain, ThroughInterface(plain)
 
 
 def _unknown_lobe(fit: ModelFit) -> tuple[str, ...]:

@@ -1,11 +1,12 @@
 """What the writer of a `.bsdf` file has to know of a model of the ladder: its lobe, its wavelengths, its words."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from analysis.brdf_fit import form_of
-from analysis.brdf_table import BrdfTable
+from analysis.brdf_table import BrdfTable, Visibility
 from analysis.colour import COLOUR_RANGE
 from analysis.errors import ExportError, OutOfRange
 from analysis.fresnel import Conductor
@@ -33,6 +34,8 @@ class RenderedModel:
     reflectance: Reflectance
     alpha: float
     """Roughness of its lobe; 1 where it has none."""
+    base: float
+    """About what is alike in all directions, 1/sr, as a mean over the wavelengths."""
     wavelengths: tuple[float, float]
     """Between which it is known and renderers ask, nm."""
     words: str
@@ -43,19 +46,35 @@ def rendered(model: Model) -> RenderedModel:
     """Any model of the ladder; raises `OutOfRange` for one that is not known from 400 to 700 nm."""
     match model:
         case Lambert():
-            return RenderedModel(model, 1.0, _range(model.wavelengths), "Lambertian: albedo / pi in all directions")
+            base = float(model.albedo.mean()) / math.pi
+            return RenderedModel(
+                model, 1.0, base, _range(model.wavelengths), "Lambertian: albedo / pi in all directions"
+            )
         case Tinted():
             words = f"A lobe of one colour, {_SURFACES[model.distribution]} with alpha = {model.alpha:.17g}"
-            return RenderedModel(model, model.alpha, _range(model.wavelengths), words)
+            return RenderedModel(model, model.alpha, 0.0, _range(model.wavelengths), words)
         case BrdfTable():
             words = "A table of the measurement by theta_h and theta_d of the half vector"
-            return RenderedModel(model, model.alpha or 1.0, _range(model.wavelengths), words)
+            alpha, base = _of_guide(model)
+            return RenderedModel(model, alpha, base, _range(model.wavelengths), words)
         case Microfacet():
-            known = model.form.conductor.wavelengths if model.form.conductor else None
-            if known is None and model.albedo is not None:
-                known = model.albedo.wavelengths
+            base, known = 0.0, model.form.conductor.wavelengths if model.form.conductor else None
+            if model.albedo is not None:
+                base, known = float(model.albedo.values.mean()) / math.pi, model.albedo.wavelengths
             span = SPECTRAL_RANGE if known is None else _range(known)
-            return RenderedModel(model, float(model.parameters[0]), span, _words(model.form, model.parameters))
+            return RenderedModel(model, float(model.parameters[0]), base, span, _words(model.form, model.parameters))
+
+
+def _of_guide(table: BrdfTable) -> tuple[float, float]:
+    """Roughness of the lobe of a table, and about what is alike in all its directions, 1/sr."""
+    match table.guide:
+        case Visibility(alpha):
+            return alpha, 0.0
+        case Lambert() | Tinted() | Microfacet() as guide:
+            of_guide = rendered(guide)
+            return of_guide.alpha, of_guide.base * float(np.exp(table.log_q).mean(axis=-1).min())
+        case _:
+            return 1.0, 0.0
 
 
 def of_fit(fit: ModelFit, conductor: Conductor) -> Microfacet:

@@ -11,7 +11,7 @@ from analysis.colour import colour_differences
 from analysis.directions import Directions, round_aperture, through_aperture
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import Conductor
-from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, ladder, roughness, table_rung
+from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, guides, ladder, roughness, table_rung
 from analysis.scene import Camera, Light, Scene, Shape
 from analysis.scene_rays import trace
 from analysis.tradeoff import Axis, Candidate, Chart, Choice, race
@@ -52,7 +52,7 @@ def model_charts(
     tell("models: fits and tables")
     fits = fit_models(seen, local_fit_for(seen, names, metal), names, metal)
     alpha = roughness(fits)
-    half, whole = (reference_table(each, alpha, metal=not dielectric).table for each in (seen, dataset))
+    half, whole = (reference_table(each, alpha, guides(fits)).table for each in (seen, dataset))
     vertices = trace(SCENE, alpha, SAMPLES)
     rungs = (*ladder(vertices, whole, NODES, fits, metal), table_rung(half))
     charts = [

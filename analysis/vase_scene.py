@@ -8,8 +8,8 @@ computed here. The material is the BSDF with the id "sample".
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from drivers.arrays import FloatArray
 
@@ -82,7 +82,7 @@ def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES, depth: 
 def vase(around: int = 120, along: int = 120) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
     """Vertices and unit normals [vertices, 3], and triangles [triangles, 3] counter-clockwise from outside."""
     steps = np.linalg.norm(np.diff(_PROFILE, axis=0), axis=1)
-    curve = CubicSpline(np.concatenate([[0.0], np.cumsum(steps)]), _PROFILE)
+    curve = scipy.interpolate.CubicSpline(np.concatenate([[0.0], np.cumsum(steps)]), _PROFILE)
     s, phi = np.meshgrid(np.linspace(0, steps.sum(), along), 2 * np.pi * np.arange(around) / around, indexing="ij")
     (radius, height), (by_s, up_by_s) = (np.moveaxis(curve(s, order), -1, 0) for order in (0, 1))
     radius = np.maximum(radius, 0.0)

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from sqlalchemy import Connection, Row, insert, select, text
 
 from goniometer.database import Database
+from goniometer.errors import StoreError
 from goniometer.records import now
 from goniometer.service_tables import log as table
 
@@ -68,6 +69,14 @@ def record(database: Database, who: str, action: str, about: Mapping[str, Any], 
     # The journal of the machine thus keeps the hashes where who can write the database may be unable to.
     log.info("Log row %s has the hash %s", sequence, entry.hash)
     return entry
+
+
+def record_done(database: Database, who: str, action: str, about: Mapping[str, Any], via: Via = "service") -> None:
+    """Like `record`, of what nothing can undo: where no row can be added, the journal of the machine tells of it."""
+    try:
+        record(database, who, action, about, via)
+    except StoreError:
+        log.exception("What %s did is not in the log: %s %s", who, action, _canonical(without_secrets(about)))
 
 
 def sealed(row: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from analysis.brdf_table import reference_table
 from analysis.choose import NODES, Choice, Judged, choose, least_directions
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
-from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, roughness
+from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, guides, roughness
 from analysis.mitsuba_run import Material, trace_mitsuba
 from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
 from analysis.scene import load_scene
@@ -50,7 +50,7 @@ def choose_model(
     local = local_fit_for(dataset, models, metal, how.engine)
     fits = fit_models(dataset, local, models, metal, how.engine, how.distribution, how.weight)
     alpha = roughness(fits)
-    reference = reference_table(dataset, alpha, metal=not dielectric)
+    reference = reference_table(dataset, alpha, guides(fits))
 
     def traced(samples: int) -> Vertices:
         if own is not None:

@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from analysis.brdf_fit import BRDF_MODELS
+from analysis.bsdf_search import Budget
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.derive import Export
 from api.exports import FORMATS, Options, export_dataset
@@ -26,16 +28,43 @@ def export(
     raw: Annotated[bool, typer.Option("--raw", help="hdf5: with all raw exposures.")] = False,
     about: Annotated[
         Path | None,
-        typer.Option(help="bird: YAML or JSON file with the keys provenance, license, sample, environment, ..."),
+        typer.Option(help="bird, package: YAML file with the keys provenance, license, sample, environment, ..."),
     ] = None,
+    license_: Annotated[str | None, typer.Option("--license", help="package: SPDX identifier, e.g. CC-BY-4.0.")] = None,
+    creator: Annotated[
+        list[str] | None,
+        typer.Option(help='package: who made the data, "Family, Given" or an organisation; may be repeated.'),
+    ] = None,
+    attach: Annotated[
+        list[Path] | None,
+        typer.Option(help="package: photograph, topography or another file of the sample; may be repeated."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help=f"mitsuba: {', '.join(BRDF_MODELS)}; the one fitted last unless given.", show_default=False),
+    ] = None,
+    budget: Annotated[
+        float, typer.Option(min=1e-4, max=1, help="mitsuba: relative error that 99 of 100 directions may have.")
+    ] = Budget.error,
+    colour_budget: Annotated[
+        float, typer.Option(min=0.01, help="mitsuba: dE00 that 99 of 100 directions may have.")
+    ] = Budget.colour,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
     store = existing(database)
-    tell_export(
-        export_dataset(store, chosen_dataset(store, dataset), to, path, Options(raw=raw, about=about)), as_json=as_json
+    said = Options(
+        raw=raw,
+        license=license_,
+        creators=tuple(creator or ()),
+        attached=tuple(attach or ()),
+        about=about,
+        model=model,
+        budget=budget,
+        colour_budget=colour_budget,
     )
+    tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path, said), as_json=as_json)
 
 
 def tell_export(written: Export, *, as_json: bool) -> None:

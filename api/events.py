@@ -64,6 +64,11 @@ class Events:
         self._closed = True
         self._wake_soon()
 
+    @property
+    def count(self) -> int:
+        """Events that were published so far."""
+        return self._count
+
     def name(self, event: Event) -> str:
         """What a listener calls the event when it comes back, for `subscribe`."""
         return f"{self._run}-{event.number}"

@@ -34,7 +34,6 @@ from api.tradeoff import TITLE as TRADEOFF
 from api.tradeoff import chapters, charts
 from api.uploads import uploaded
 from goniometer.certificate import Override
-from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.ensemble import cells, ensemble, jobs
 from simulators.regimes import REGIMES
@@ -76,6 +75,8 @@ class Kind:
     run: Callable[[Work, Any], Made]
     role: Role = "operator"
     """Whoever asks for it needs this role or a higher one."""
+    long: bool = False
+    """Whether it takes minutes or hours; the others need not wait for it."""
 
 
 def _fit(work: Work, asked: FitArguments) -> Made:
@@ -86,10 +87,10 @@ def _fit(work: Work, asked: FitArguments) -> Made:
 
 def _export(work: Work, asked: ExportArguments) -> Made:
     work.tell(None, f"Writing {asked.format}")
-    try:
-        options = Options(**asked.options)
-    except TypeError as error:
-        raise InputError(f"The options of an export to {asked.format} cannot be these: {error}.") from error
+    about = asked.options.get("about")
+    options = Options(
+        raw=bool(asked.options.get("raw", False)), about=None if about is None else uploaded(work.output, str(about))
+    )
     wanted = FORMATS[asked.format]
     path = _file(work, asked.dataset, wanted.ending)
     return Made(
@@ -190,8 +191,8 @@ KINDS: dict[str, Kind] = {
     "report": Kind("Write the report of a dataset", ReportArguments, _report),
     "import": Kind("Import a BRDF that was measured elsewhere", ImportAsked, _import),
     "recalibrate": Kind("Calibrate raw data anew", RecalibrateArguments, _recalibrate, "metrologist"),
-    "tradeoff": Kind("Chart speed against accuracy", TradeoffArguments, _tradeoff),
-    "stability": Kind("Map the stability of the fits", StabilityArguments, _stability),
-    "choose": Kind("Choose the model that a scene needs", ChooseArguments, _choose),
+    "tradeoff": Kind("Chart speed against accuracy", TradeoffArguments, _tradeoff, long=True),
+    "stability": Kind("Map the stability of the fits", StabilityArguments, _stability, long=True),
+    "choose": Kind("Choose the model that a scene needs", ChooseArguments, _choose, long=True),
 }
 """By the name that the database keeps."""

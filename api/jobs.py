@@ -22,6 +22,7 @@ from pydantic import BaseModel
 from api import job_rows
 from api.errors import Conflict
 from api.events import Events
+from api.job_kinds import KINDS
 from api.job_rows import BEAT, OPEN, Job
 from api.job_worker import Ended, begin_worker, work
 from api.views.jobs import job_view
@@ -29,8 +30,8 @@ from goniometer.store import Store
 
 log = logging.getLogger(__name__)
 
-SLOTS = max(1, (os.cpu_count() or 2) - 1)
-"""Jobs that run at once: one processor is left for the bench."""
+LONG, SHORT = 1, max(1, (os.cpu_count() or 2) - 1)
+"""Jobs of either sort that run at once, at a lower priority than the bench."""
 
 _TOLD = 0.5
 """Seconds between two notes of how far a job is."""
@@ -39,7 +40,7 @@ _TOLD = 0.5
 class Jobs:
     """The jobs that this process answers for; `close` ends it."""
 
-    def __init__(self, store: Store, database: Path | str, output: Path, events: Events, slots: int = SLOTS) -> None:
+    def __init__(self, store: Store, database: Path | str, output: Path, events: Events) -> None:
         """`database` is where `store` is, and `output` the folder of all results."""
         self._store = store
         self._database = str(database)
@@ -50,7 +51,7 @@ class Jobs:
         self._cancelled: set[int] = set()
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._slots = ThreadPoolExecutor(slots, thread_name_prefix="job")
+        self._long, self._short = ThreadPoolExecutor(LONG), ThreadPoolExecutor(SHORT)
         self._look_after()
         self._beating = threading.Thread(target=self._beat, name="jobs", daemon=True)
         self._beating.start()
@@ -86,7 +87,8 @@ class Jobs:
         with self._lock:
             for job_id in list(self._groups):
                 self._end(job_id)
-        self._slots.shutdown(wait=True, cancel_futures=True)
+        for slots in (self._long, self._short):
+            slots.shutdown(wait=True, cancel_futures=True)
         self._beating.join()
         for job in job_rows.all_jobs(self._store, limit=1000, states=OPEN, by=self._me):
             job_rows.finish(self._store, job.id, "interrupted", job_rows.INTERRUPTED)
@@ -96,7 +98,8 @@ class Jobs:
             raise Conflict("The service is ending; ask again when it is back")
         job = job_rows.add_job(self._store, kind, arguments, who, self._me)
         self._publish(job.id)
-        self._slots.submit(self._run, job.id, kind, arguments).add_done_callback(_log_fault)
+        slots = self._long if KINDS[kind].long else self._short
+        slots.submit(self._run, job.id, kind, arguments).add_done_callback(_log_fault)
         return job
 
     def _run(self, job_id: int, kind: str, arguments: str) -> None:

@@ -16,11 +16,13 @@ from typing import Any
 import api.errors
 import drivers.errors
 import goniometer.errors
+from api.audit import record_done
 from api.errors import Conflict
 from api.events import Events
 from api.lease import pass_on_stop
+from api.runner import Task
 from api.state import Answer, BenchState, Call, Message, Snapshot, Told
-from api.worker import Task, main
+from api.worker import main
 from drivers.errors import DriverError
 from goniometer.database import Database
 from goniometer.errors import GoniometerError
@@ -124,6 +126,7 @@ class Link:
             task = replace(self._task, since=now())
             process = context.Process(target=main, args=(there, task), name="goniometer bench")
             process.start()
+            record_done(self._database, "bench", "start", {"process": process.pid})
             there.close()
             with self._lock:
                 self._connection = here
@@ -139,6 +142,7 @@ class Link:
                 log.error("The process that drives the bench does not end; it is killed")
                 process.kill()
                 process.join()
+            record_done(self._database, "bench", "end", {"process": process.pid, "code": process.exitcode})
             if not self._closing:
                 message = f"The process that drives the bench has ended (code {process.exitcode}) and is started anew"
                 log.error(message)

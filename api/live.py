@@ -8,9 +8,9 @@ from pathlib import Path
 from api.events import Events
 from api.jobs import Jobs
 from api.link import Link
+from api.runner import Task
 from api.settings import InstrumentSettings
 from api.views.opened import Datasets
-from api.worker import Task
 from goniometer.store import Store
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
+from analysis.brdf_fit import BRDF_MODELS
+from analysis.bsdf_search import Budget
 from analysis.distributions import Distribution
 from analysis.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
 from analysis.fits import MODELS
@@ -15,7 +17,7 @@ from analysis.loew import Weight, weight_of
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
 from analysis.results import SampleAnalysis
-from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
+from api.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
 from goniometer.dataset import Dataset
@@ -130,21 +132,39 @@ def _known(difference: float | None) -> str:
 
 
 def write_fits(store: Store, dataset_id: int, path: Path) -> Export:
-    """Write a dataset's fits as JSON, with the metal, distribution, weight and engine of its last fit."""
-    analysis = _analysed(store, dataset_id, last_way(store, dataset_id))
+    """Write a dataset's fits as JSON: those of a scan's end, and of every other model that it was ever fitted with.
+
+    All are of the metal, distribution, weight and engine of the last fit.
+    """
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
     return write_text("json", path, analysis_to_json(analysis, analysis.conductor))
 
 
-def write_mitsuba(store: Store, dataset_id: int, path: Path) -> Export:
-    """Write a dataset's fitted model for Mitsuba: as `write_fits`, but with the distribution GGX."""
-    _, export = write_bsdf(path, _analysed(store, dataset_id, replace(last_way(store, dataset_id), distribution="ggx")))
-    return export
+def write_mitsuba(store: Store, dataset_id: int, path: Path, model: str | None, budget: Budget) -> Export:
+    """Write a fitted model of a dataset for Mitsuba, fitted as in `write_fits`.
+
+    Without `model` it is the one that was fitted last of those that can be rendered. Raises `InputError` for a model
+    that cannot.
+    """
+    if model is not None and model not in BRDF_MODELS:
+        raise InputError(f'"{model}" is no model that can be rendered; there are {", ".join(BRDF_MODELS)}.')
+    fitted = [fit.kind for fit in store.fits(dataset_id) if fit.kind in BRDF_MODELS]
+    wanted = model or (fitted or [RENDERED_MODEL])[-1]
+    _, exports = write_bsdf(path, _analysed(store, dataset_id, (wanted,)), wanted, budget)
+    written = exports[0]
+    return replace(written, notes=(f"model {wanted}", *written.notes), facts={"model": wanted} | written.facts)
 
 
-def _analysed(store: Store, dataset_id: int, how: HowToFit) -> SampleAnalysis:
+def _models_of(store: Store, dataset_id: int) -> tuple[str, ...]:
+    """The models of a scan's end and every other one that a dataset was ever fitted with."""
+    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
+    return tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
+
+
+def _analysed(store: Store, dataset_id: int, models: tuple[str, ...]) -> SampleAnalysis:
+    how = last_way(store, dataset_id)
     conductor = load_conductor(*conductor_name(how.conductor))
-    dataset = store.dataset(dataset_id)
-    return analyse(dataset, conductor, AT_THE_END_OF_A_SCAN, how.engine, how.distribution, how.weight)
+    return analyse(store.dataset(dataset_id), conductor, models, how.engine, how.distribution, how.weight)
 
 
 def usual_path(dataset: Dataset, ending: str) -> Path:
@@ -157,20 +177,19 @@ def usual_path(dataset: Dataset, ending: str) -> Path:
 
 
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
-    """Write the HTML report of a dataset to `path` or the present folder.
+    """Write the HTML report of a dataset to `path` or the present folder, and note that in the database."""
+    export = write_dataset_report(store, dataset_id, path or usual_path(store.dataset(dataset_id), "html"))
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export
+
+
+def write_dataset_report(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write the HTML report of a dataset.
 
     It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
     metal, distribution, weight and engine of the last fit.
     """
-    dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
-    target = path or usual_path(dataset, "html")
-    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
-    models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
-    how = last_way(store, dataset_id)
-    conductor = load_conductor(*conductor_name(how.conductor))
-    analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
-    export = write_analysis_report(target, analysis, facts)
-    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
-    return export
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
+    return write_analysis_report(path, analysis, facts)

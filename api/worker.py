@@ -12,16 +12,12 @@ import time
 import uuid
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from analysis.errors import AnalysisError
 from api import queue
 from api.bench import POSSIBLE, OperatedBench
-from api.derive import slug
 from api.errors import Conflict
 from api.lease import (
     BEAT,
@@ -36,14 +32,11 @@ from api.lease import (
     take_up_stop,
 )
 from api.logs import log_as_json
-from api.mount_request import mount_request
-from api.service import Watch, mounting, run_alone
-from api.settings import InstrumentSettings
-from api.state import Alarm, Answer, BenchState, Call, Driver, Message, Prompt, Running, Span, Told
+from api.runner import Runner, Task
+from api.state import Alarm, Answer, BenchState, Call, Driver, Message, Told
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError, RunAborted, StoreBusy, StoreError
-from goniometer.progress import Progress
-from goniometer.records import Scan, now
+from goniometer.errors import GoniometerError, StoreBusy, StoreError
+from goniometer.records import now
 from goniometer.store import Store
 
 UNHEARD = 1000
@@ -53,29 +46,13 @@ LOOK = 0.2
 PATIENCE_WITH_DISK = 5.0
 """Seconds until a database that refused is tried again."""
 AGAIN = 0.1
-"""Seconds between two looks at the queue, and between two reports of the same kind."""
+"""Seconds between two looks at the queue."""
 
 RESTARTED = "The service has ended meanwhile; start it again to go on where it stood."
 HELD = "The service was started anew; look at the bench, then start it again."
 STOPPED = "The bench was stopped; look at it, then start it again."
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Task:
-    """What the process that drives the bench is started with."""
-
-    database: Path | str
-    output: Path
-    settings: InstrumentSettings | None
-    """None for the simulated bench."""
-    url: str
-    """Where the service answers."""
-    mounts_by_itself: bool
-    """Whether samples are laid on the simulated bench without asking anybody."""
-    since: str = ""
-    """When the process was started, ISO 8601 in UTC: what was queued before waits for somebody to look."""
 
 
 def main(connection: Connection, task: Task) -> None:
@@ -95,15 +72,9 @@ class _Worker:
         self.driving: Lease | None = None
         """Whoever drives, as last read."""
         self.ending = asyncio.Event()
-        self.entry: queue.Entry | None = None
-        self.progress: Progress | None = None
-        self.progress_told = 0.0
-        self.prompt: Prompt | None = None
-        self.mounted: asyncio.Future[None] | None = None
+        self.runner = Runner(self.store, self.bench, task, self.say, self.tell_state)
         self.halted = False
         """Whether nothing may begin, because the bench is being stopped or parked."""
-        self.leaving = False
-        """Whether the bench is let go of, so that what runs has not ended but goes on another time."""
         self.busy_elsewhere = False
         """Whether another process of this machine has locked the database."""
         self.told: BenchState | None = None
@@ -127,6 +98,7 @@ class _Worker:
             await asyncio.wait({*jobs, ended}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             failed = [job for job in jobs if job.done()]
+            self.ending.set()
             for job in (*jobs, ended):
                 job.cancel()
             await asyncio.wait({*jobs, ended})
@@ -158,6 +130,7 @@ class _Worker:
         """Take the lease whenever it can be had, and drive as long as it holds."""
         watcher = Watcher()
         holder = uuid.uuid4().hex
+        since: str | None = self.task.since
         while True:
             async with AsyncExitStack() as held:
                 try:
@@ -171,24 +144,28 @@ class _Worker:
                     dead = seen is not None and (seen.host == socket.gethostname() or watcher.silent_for(seen) > EXPIRY)
                     self.lease = take_lease(self.store, holder, self.task.url, seen if dead else None)
                 if self.lease is not None:
-                    await self._hold_lease(self.lease)
+                    await self._hold_lease(self.lease, since)
+            since = None  # whatever was started meanwhile was not meant for this service
             self._see_driver()
             await asyncio.sleep(BEAT / 2)
 
-    async def _hold_lease(self, lease: Lease) -> None:
-        """Run the queue, and show signs of life; returns when the lease is lost, with the bench parked."""
+    async def _hold_lease(self, lease: Lease, since: str | None) -> None:
+        """Run the queue, and show signs of life; returns when the lease is lost, with the bench parked.
+
+        What was started after the moment `since` stays queued.
+        """
         log.info("Drives the bench, term %d", lease.term)
         self.store.end_stale_scans()
         queue.interrupt(self.store, RESTARTED)
-        queue.hold(self.store, HELD, self.task.since)
-        self.halted = self.leaving = False
-        self.tell_queue()
+        queue.hold(self.store, HELD, since)
+        self.halted = self.runner.leaving = False
+        self.runner.tell_queue()
         self._see_driver()
         work, beats = (asyncio.ensure_future(each) for each in (self._work(), self._beat(lease)))
         try:
             await asyncio.wait({work, beats}, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self.halted = self.leaving = True
+            self.halted = self.runner.leaving = True
             await self.bench.park()
             work.cancel()
             beats.cancel()
@@ -197,27 +174,29 @@ class _Worker:
             with suppress(StoreError):  # then it expires
                 queue.interrupt(self.store, RESTARTED)
                 release_lease(self.store, lease)
-            self.tell_queue()
+            self.runner.tell_queue()
         for each in (work, beats):
             if not each.cancelled():
                 each.result()
 
     async def _beat(self, lease: Lease) -> None:
         """Renew the lease in time; returns when it is lost."""
-        seen = time.monotonic()
-        while time.monotonic() - seen < GIVE_UP:
+        renewed = time.monotonic()
+        while True:
             await asyncio.sleep(BEAT)
             asked = time.monotonic()
             try:
-                renewed = await asyncio.to_thread(renew_lease, self.store, lease)
+                held = await asyncio.to_thread(renew_lease, self.store, lease)
             except StoreError as error:
                 log.warning("The lease of the bench cannot be renewed: %s", error)
+                if time.monotonic() - renewed > GIVE_UP:
+                    log.error("The lease of the bench could not be renewed for %g s; it is parked", GIVE_UP)
+                    return
                 continue
-            if renewed is None:
+            if held is None:
                 log.error("Another service has taken the lease of the bench; it is parked")
                 return
-            seen = asked
-        log.error("The lease of the bench could not be renewed for %g s; it is parked", GIVE_UP)
+            renewed = asked
 
     def _see_driver(self) -> None:
         self.driving = read_lease(self.store)
@@ -238,7 +217,7 @@ class _Worker:
                 if entry is not None:
                     watching = asyncio.ensure_future(self._watch_for_stop(lease))
                     try:
-                        await self._run(entry)
+                        await self.runner.run(entry)
                     finally:
                         watching.cancel()
             except StoreError as error:
@@ -253,105 +232,6 @@ class _Worker:
             await asyncio.sleep(AGAIN)
             if take_up_stop(self.store, lease):
                 await self._stop()
-
-    async def _run(self, entry: queue.Entry) -> None:
-        """Run an entry of the queue and put down how it ended."""
-        self.entry = entry
-        self.tell_queue()
-        campaign = entry.campaign
-        folder = self.task.output / slug(campaign.name)
-        watch = Watch(self._report, self._note, self._ask)
-        try:
-            await self._connect(campaign.seed)
-            assert self.bench.instrument is not None  # it is connected
-            asks = self.bench.laboratory is None or not self.task.mounts_by_itself
-            mount = mounting(self._ask, self.bench.laboratory, asks=asks)
-            bench = self.bench.instrument, mount
-            work = run_alone(self.store, campaign, folder, self.bench.settings, watch, bench=bench)
-            result = await self.bench.run(f'Measuring the campaign "{campaign.name}".', work)
-        except (RunAborted, Conflict) as error:
-            if not self.leaving:
-                queue.finish_entry(self.store, entry.id, "aborted", str(error))
-        except (GoniometerError, AnalysisError, DriverError, OSError) as error:
-            log.error("%s: %s", campaign.name, error)
-            queue.finish_entry(self.store, entry.id, "failed", str(error))
-        else:
-            queue.finish_entry(self.store, entry.id, "completed", " ".join(result.failures))
-        finally:
-            self._note_campaign(entry)
-            self.entry = self.progress = None
-            self.tell_state()
-            self.tell_queue()
-
-    async def _connect(self, seed: int) -> None:
-        """Have the bench ready; a simulated one is made anew, so that its noise is that of the campaign."""
-        if self.bench.laboratory is not None:
-            await self.bench.disconnect()
-        await self.bench.connect(seed)
-
-    def _note_campaign(self, entry: queue.Entry) -> None:
-        """Note which campaign an entry became."""
-        known = [number for number, name in self.store.campaigns().items() if name == entry.name]
-        if known and entry.campaign_id is None:
-            queue.begun(self.store, entry.id, known[0])
-
-    def _report(self, progress: Progress) -> None:
-        before, self.progress = self.progress, progress
-        new_scan = before is None or before.scan_id != progress.scan_id
-        if new_scan and self.entry is not None and self.entry.campaign_id is None:
-            self._note_campaign(self.entry)
-            self.entry = queue.entry(self.store, self.entry.id)
-        if before is not None and not new_scan and progress.done > before.done and progress.geometry is not None:
-            self.say(
-                Told(
-                    "point",
-                    {
-                        "scan": progress.scan_id,
-                        "theta_in": progress.geometry.theta_in,
-                        "theta_out": progress.geometry.theta_out,
-                        "done": progress.done,
-                        "failed": progress.failed,
-                        "expected": progress.expected,
-                    },
-                )
-            )
-        moment = time.monotonic()
-        if new_scan or before is None or before.phase != progress.phase or moment - self.progress_told >= AGAIN:
-            self.progress_told = moment
-            running = self._running()
-            assert running is not None  # it reports
-            self.say(Told("progress", running.model_dump(mode="json")))
-        if new_scan or before is None or before.phase != progress.phase:
-            self.tell_state()
-            self.tell_queue()
-
-    def _note(self, sentence: str) -> None:
-        self.say(Told("log", {"level": "info", "message": sentence, "moment": now()}))
-
-    async def _ask(self, scan: Scan) -> None:
-        """Ask for a sample, and return when somebody says that it is mounted."""
-        assert self.entry is not None  # it is its campaign that asks
-        request, check = mount_request(scan)
-        self.mounted = asyncio.get_running_loop().create_future()
-        self.prompt = Prompt(
-            entry=self.entry.id,
-            scan=scan.id,
-            sample=scan.name,
-            kind=scan.kind,
-            request=request,
-            check=check,
-            since=now(),
-        )
-        self.say(Told("mount", self.prompt.model_dump(mode="json")))
-        self.tell_state()
-        self.tell_queue()
-        try:
-            await self.mounted
-        finally:
-            self.prompt = self.mounted = None
-            self.say(Told("mount", {"entry": self.entry.id, "scan": scan.id, "request": None}))
-            self.tell_state()
-            self.tell_queue()
 
     # Commands of the service
 
@@ -378,7 +258,7 @@ class _Worker:
         if name == "stop":
             return self._stop()
         commands: dict[str, Any] = {
-            "mounted": self._confirm,
+            "mounted": self.runner.confirm,
             "connect": self.bench.connect,
             "disconnect": self.bench.disconnect,
             "home": self.bench.home,
@@ -409,24 +289,15 @@ class _Worker:
             await self.bench.stop()
         finally:
             queue.hold(self.store, STOPPED)
-            self.halted = self.leaving
-            self.tell_queue()
-
-    async def _confirm(self, entry: int, scan: int | None) -> None:
-        """Somebody says that the sample is mounted. Raises `Conflict` where that was not asked."""
-        prompt, mounted = self.prompt, self.mounted
-        if prompt is None or mounted is None or prompt.entry != entry:
-            raise Conflict(f"Entry {entry} does not wait for a sample; look at the queue for what it does")
-        if scan is not None and scan != prompt.scan:
-            raise Conflict(f"Entry {entry} waits for {prompt.sample} (scan {prompt.scan}), not for scan {scan}")
-        if not mounted.done():
-            mounted.set_result(None)
+            self.halted = self.runner.leaving
+            self.runner.tell_queue()
 
     # What the service is told
 
     async def _look(self) -> None:
         """Tell what the devices do, as long as this process lives."""
-        while True:
+        # a cancellation may come in the same moment as a reply, which Python 3.11 then takes for the end of the matter
+        while not self.ending.is_set():
             await self._look_once()
             await asyncio.sleep(LOOK)
 
@@ -437,10 +308,6 @@ class _Worker:
             self.spectrum = spectrum.number
             self.say(spectrum)
         self.tell_state()
-
-    def tell_queue(self) -> None:
-        """Say that the queue has changed."""
-        self.say(Told("queue", {}))
 
     def tell_state(self) -> None:
         """Say what the bench is at, where that has changed."""
@@ -476,32 +343,9 @@ class _Worker:
             integration_time=None if spectrum is None else spectrum.integration_time,
             integration_limits=None if instrument is None else instrument.integration_limits,
             spectrum=None if spectrum is None else spectrum.count,
-            running=self._running(),
-            prompt=self.prompt,
+            running=self.runner.running,
+            prompt=self.runner.prompt,
             alarms=self._alarms(),
-        )
-
-    def _running(self) -> Running | None:
-        entry, progress = self.entry, self.progress
-        if entry is None or progress is None:
-            return None
-        left = progress.bench_remaining
-        return Running(
-            entry=entry.id,
-            campaign=entry.name,
-            scan=progress.scan_id,
-            sample=progress.sample,
-            kind=progress.kind,
-            phase=progress.phase,
-            done=progress.done,
-            failed=progress.failed,
-            expected=progress.expected,
-            theta_in=None if progress.geometry is None else progress.geometry.theta_in,
-            theta_out=None if progress.geometry is None else progress.geometry.theta_out,
-            bench_elapsed=progress.bench_elapsed,
-            bench_remaining=Span(seconds=left.seconds, low=left.low, high=left.high),
-            remaining=progress.remaining,
-            waiting=None if progress.waiting is None else progress.waiting.what,
         )
 
     def _alarms(self) -> tuple[Alarm, ...]:

@@ -21,7 +21,7 @@ class Entry:
 
     id: int
     scan_id: int | None
-    """None where it was imported or simulated."""
+    """None where it was imported, simulated, or measured elsewhere."""
     sample: str
     """Its name, with the number of the repeat where a campaign measured it several times."""
     kind: Kind
@@ -77,7 +77,8 @@ def facts_of(dataset: Dataset) -> dict[str, object]:
         "flags": int(np.bitwise_or.reduce(dataset.flags, initial=0)),
         "flagged": int(np.count_nonzero(dataset.flags)),
         "checks_failed": sum(check.passed is False for check in dataset.checks),
-        "recalibrated_from": source if isinstance(source, int) else None,
+        # the number of one that came from a file is of another database
+        "recalibrated_from": source if isinstance(source, int) and "reloaded" not in dataset.lineage else None,
         "content_hash": dataset.content_hash,
     }
 

@@ -19,7 +19,7 @@ from drivers.travel import travel_time
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
-from goniometer.moves import ARRIVAL, both, faults_of, followed, home, not_ready, ready, settle
+from goniometer.moves import ARRIVAL, Move, both, bring, faults_of, followed, home, not_ready, ready
 from goniometer.route import Motion, StageMotion, approach
 from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, grown, raised, safe_path
 from goniometer.track import SWEEP_MARGIN, Passage, passages
@@ -233,6 +233,10 @@ class Instrument:
         self.check(geometry)
         return await self._go((geometry.sample_angle, geometry.detector_angle))
 
+    async def standing(self) -> Standing:
+        """What the two stages read at rest, degrees; raises `DeviceFault` for one that is not ready."""
+        return await both(ready(self._sample_stage), ready(self._detector_stage))
+
     async def face_source(self, theta_in: float, detector_angle: float = 0.0) -> Geometry:
         """Stand with the detector in front of the source, where it sees stray light only, and return the read-back.
 
@@ -258,15 +262,14 @@ class Instrument:
             fixed = targets if stop in (first, wanted) else here
             stays = [fixed[axis] == stop[axis] for axis in range(2)]
             self._whereabouts = {here, stop}
-            reached = await both(
-                settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
-                settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
-            )
+            stages = self._sample_stage, self._detector_stage
+            moves = [Move(stages[axis], here[axis], stop[axis], stays[axis]) for axis in range(2)]
+            sample, detector = await bring(self.clock, moves)
             targets = (
                 targets[0] if stays[0] else stop[0],
                 targets[1] if stays[1] else stop[1],
             )
-            here = reached
+            here = sample, detector
         self._whereabouts = {here}
         settling = [self._settling[axis] for axis in range(2) if left[axis] != wanted[axis]]
         if any(settling):

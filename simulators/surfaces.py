@@ -104,7 +104,20 @@ def surface_brdf(
     aperture: Aperture,
 ) -> FloatArray:
     """[points, wavelengths] BRDF averaged over the aperture, 1/sr; `index` is that of aluminium at the wavelengths."""
-    directions = through_aperture(theta_in, theta_out, aperture)
+    return mean_brdf(surface, through_aperture(theta_in, theta_out, aperture), aperture.weights, wavelengths, index)
+
+
+def mean_brdf(
+    surface: Surface,
+    directions: Directions,
+    weights: FloatArray,
+    wavelengths: FloatArray,
+    index: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """[points, wavelengths] mean with `weights` [nodes] of the BRDF at `directions` [points, nodes], 1/sr.
+
+    Directions may lie anywhere, and are near each other for one point.
+    """
     eta = surface.eta
 
     def first(cosine: FloatArray) -> FloatArray:
@@ -113,13 +126,13 @@ def surface_brdf(
     def second(cosine: FloatArray) -> FloatArray:
         return first(cosine) ** 2 if eta is None else np.ones_like(cosine)
 
-    once = (1 - surface.multiple) * single_lobe(directions, surface.alpha) * aperture.weights
-    more = multiple_lobe(directions, surface.multiple) * aperture.weights
+    once = (1 - surface.multiple) * single_lobe(directions, surface.alpha) * weights
+    more = multiple_lobe(directions, surface.multiple) * weights
     value = over_aperture(directions, once, surface.once, first, wavelengths)
     value = value + over_aperture(directions, more, surface.more, second, wavelengths)
     if eta is None or surface.diffuse is None:
         return value
-    return value + _diffuse(directions, aperture.weights, eta) * np.interp(wavelengths, *surface.diffuse)
+    return value + _diffuse(directions, weights, eta) * np.interp(wavelengths, *surface.diffuse)
 
 
 def _diffuse(directions: Directions, weights: FloatArray, eta: float) -> FloatArray:

@@ -9,11 +9,11 @@ from fastapi import Depends, Request
 
 from api.accounts import Role, all_users, at_least
 from api.errors import NotAllowed, Unauthorised
-from api.tokens import Caller
+from api.tokens import Caller, session_caller, token_caller
 from goniometer.database import Database
 from goniometer.errors import ConfigurationError
 
-__all__ = ["LOCAL", "Access", "Caller", "check_listen", "is_loopback", "needs"]
+__all__ = ["LOCAL", "Access", "Caller", "caller_of", "check_listen", "cookie_name", "is_loopback", "needs"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,27 @@ def needs(role: Role) -> Any:
     return Depends(caller)
 
 
+def caller_of(request: Request, store: Database, access: Access) -> Caller | None:
+    """Whom the token or the session of a request belongs to; None where it brings neither or the session has ended.
+
+    Raises `Unauthorised` for a token that is none, whatever session comes with it.
+    """
+    given = request.headers.get("authorization")
+    if given is not None:
+        scheme, _, token = given.partition(" ")
+        caller = token_caller(store, token.strip()) if scheme.lower() == "bearer" else None
+        if caller is None:
+            raise Unauthorised("This token opens nothing here: it was revoked, has expired, or never was one")
+        return caller
+    session = request.cookies.get(cookie_name(access))
+    return None if session is None else session_caller(store, session)
+
+
+def cookie_name(access: Access) -> str:
+    """Name of the session's cookie; a browser takes one of the first form only by https, from this very host."""
+    return "__Host-goniometer" if access.secure else "goniometer"
+
+
 def check_listen(
     host: str, store: Database, *, tls: bool = False, behind_proxy: bool = False, hosts: tuple[str, ...] = ()
 ) -> Access:
@@ -67,19 +88,18 @@ def check_listen(
     under which it is known. Raises `ConfigurationError` where others than this machine could reach it although nobody
     could log in, or where passwords would cross the network readably.
     """
-    loopback = is_loopback(host)
-    if not loopback:
-        if not any(user.has_password and not user.disabled for user in all_users(store)):
-            raise ConfigurationError(
-                f"{host} can be reached from other machines, and there is no user who could log in; "
-                f"add one with: goniometer user add NAME --role admin"
-            )
-        if not (tls or behind_proxy):
-            raise ConfigurationError(
-                f"On {host} passwords and tokens would cross the network readably; give --tls-cert and --tls-key, or "
-                f"--behind-proxy where a proxy in front of it speaks https"
-            )
-    return Access(loopback and not behind_proxy, tls or behind_proxy, frozenset(map(str.lower, hosts)))
+    local = is_loopback(host) and not behind_proxy
+    if not local and not any(user.has_password and not user.disabled for user in all_users(store)):
+        raise ConfigurationError(
+            f"{host} can be reached from other machines, and there is no user who could log in; "
+            f"add one with: goniometer user add NAME --role admin"
+        )
+    if not local and not (tls or behind_proxy):
+        raise ConfigurationError(
+            f"On {host} passwords and tokens would cross the network readably; give --tls-cert and --tls-key, or "
+            f"--behind-proxy where a proxy in front of it speaks https"
+        )
+    return Access(local, tls or behind_proxy, frozenset(map(str.lower, hosts)))
 
 
 def is_loopback(host: str) -> bool:

@@ -7,19 +7,19 @@ somebody does.
 """
 
 import json
-import logging
 from hmac import compare_digest
 from http import HTTPStatus
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.audit import Via, record
-from api.errors import Misdirected, NotAllowed, ServiceError, Unauthorised
-from api.tokens import Caller, csrf_token, session_caller, token_caller
-from api.web.access import Access
+from api.audit import Via, record_done
+from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthorised
+from api.tokens import Caller, csrf_token
+from api.web.access import Access, caller_of, cookie_name
 from api.web.problems import told
 from goniometer.database import Database
 from goniometer.errors import StoreError
@@ -32,7 +32,6 @@ _CHANGES_NOTHING = {"/api/campaigns/validate", "/api/campaigns/preview"}
 """A page asks for these while somebody types; the log would hold little else."""
 _NOTED = 4096
 """Bytes of another body that the log may hold."""
-log = logging.getLogger(__name__)
 
 
 class Gate:
@@ -55,7 +54,7 @@ class Gate:
         request.state.caller, request.state.about = None, {}
         try:
             self._check_names(request)
-            request.state.caller = await run_in_threadpool(self._caller, request)
+            request.state.caller = await run_in_threadpool(caller_of, request, self._store, self._access)
             self._check_unsafe(request)
         except (ServiceError, StoreError) as error:
             response = told(error)
@@ -63,7 +62,7 @@ class Gate:
                 await self._log(request, response.status_code, b"")
             await response(scope, receive, send)
             return
-        if request.method in SAFE or request.url.path in _CHANGES_NOTHING:
+        if request.method in SAFE:
             await self._app(scope, receive, send)
         else:
             await self._watched(request, receive, send)
@@ -75,17 +74,6 @@ class Gate:
         origin = request.headers.get("origin")
         if request.method not in SAFE and origin is not None and origin.partition("://")[2].lower() != host.lower():
             raise NotAllowed("A page of another site may not ask for this; open the pages of this service")
-
-    def _caller(self, request: Request) -> Caller | None:
-        given = request.headers.get("authorization")
-        if given is not None:
-            scheme, _, token = given.partition(" ")
-            caller = token_caller(self._store, token.strip()) if scheme.lower() == "bearer" else None
-            if caller is None:
-                raise Unauthorised("This token opens nothing here: it was revoked, has expired, or never was one")
-            return caller
-        session = request.cookies.get(cookie_name(self._access))
-        return None if session is None else session_caller(self._store, session)
 
     def _check_unsafe(self, request: Request) -> None:
         """Refuse, before its body is read, what changes something and comes from nobody or unasked from a browser."""
@@ -100,7 +88,7 @@ class Gate:
                 raise NotAllowed("The header X-CSRF-Token is not that of this session; GET /api/me tells it")
 
     async def _watched(self, request: Request, receive: Receive, send: Send) -> None:
-        body, answered = bytearray(), False
+        body, answered, refused = bytearray(), False, False
 
         async def reading() -> Message:
             message = await receive()
@@ -109,11 +97,17 @@ class Gate:
             return message
 
         async def answering(message: Message) -> None:
-            nonlocal answered
+            nonlocal answered, refused
             if message["type"] == "http.response.start":
                 answered = True
                 await self._log(request, message["status"], bytes(body))
-            await send(message)
+                # the library's own answer to a large body is plain text
+                plain = Headers(raw=message["headers"]).get("content-type", "").startswith("text/plain")
+                refused = message["status"] == HTTPStatus.REQUEST_ENTITY_TOO_LARGE and plain
+                if refused:
+                    await told(TooLarge("More was sent than is read here"))(request.scope, receive, send)
+            if not refused:
+                await send(message)
 
         try:
             await self._app(request.scope, reading, answering)
@@ -124,6 +118,8 @@ class Gate:
     async def _log(self, request: Request, status: int, body: bytes) -> None:
         """Note what somebody did before they learn how it went."""
         caller: Caller | None = request.state.caller
+        if request.url.path in _CHANGES_NOTHING:
+            return
         if caller is None and "login" not in request.state.about:
             return  # somebody who must wait for the next login would otherwise fill the log
         path = request.url.path
@@ -136,11 +132,8 @@ class Gate:
         about |= request.state.about
         who = "nobody" if caller is None else caller.name
         via: Via = "nobody" if caller is None else caller.via
-        try:
-            await run_in_threadpool(record, self._store, who, action, about, via)
-        except StoreError:
-            # It has been done already, and whoever stops the bench must get an answer when the disk is full too.
-            log.exception("%s by %s is not in the log", action, who)
+        # whoever stops the bench must get an answer when the disk is full, too
+        await run_in_threadpool(record_done, self._store, who, action, about, via)
 
 
 def _sent(request: Request, body: bytes) -> dict[str, Any]:
@@ -154,8 +147,3 @@ def _sent(request: Request, body: bytes) -> dict[str, Any]:
         except (ValueError, RecursionError):
             found["body"] = "no JSON"
     return found
-
-
-def cookie_name(access: Access) -> str:
-    """Name of the session's cookie; a browser takes one of the first form only by https, from this very host."""
-    return "__Host-goniometer" if access.secure else "goniometer"

@@ -11,9 +11,8 @@ from api.accounts import LONGEST_PASSWORD, Role, all_users, check_password, set_
 from api.errors import TooManyFailures, Unauthorised
 from api.throttle import count_try, forgive
 from api.tokens import OLD, Caller, begin_session, csrf_token, end_session, token_caller
-from api.web.access import Access, needs
+from api.web.access import Access, cookie_name, needs
 from api.web.context import Here
-from api.web.gate import cookie_name
 from goniometer.database import Database
 
 router = APIRouter(prefix="/api", tags=["access"])

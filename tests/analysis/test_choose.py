@@ -12,7 +12,7 @@ from analysis.choose import FEWER, NODES, choose, nodes, without_draws
 from analysis.directions import Directions, from_vectors, in_plane
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
-from analysis.ladder import METAL_FITS
+from analysis.ladder import METAL_FITS, Lambert
 from analysis.models import cook_torrance
 from analysis.results import ModelFit
 from analysis.scene import Scene
@@ -38,7 +38,7 @@ def fits(measure: Callable[..., Dataset]) -> tuple[Dataset, tuple[ModelFit, ...]
 
 @pytest.fixture(scope="module")
 def reference(fits: tuple[Dataset, tuple[ModelFit, ...]]) -> Reference:
-    return reference_table(fits[0], SAMPLE[0], metal=True)
+    return reference_table(fits[0], SAMPLE[0])
 
 
 def _table(reflectance: Callable[[Directions, FloatArray], FloatArray], alpha: float) -> Reference:
@@ -46,8 +46,9 @@ def _table(reflectance: Callable[[Directions, FloatArray], FloatArray], alpha: f
     theta_h, theta_d = table_nodes(alpha)
     in_angle, out_angle = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
     values = reflectance(in_plane(in_angle, out_angle), NODES).reshape(theta_h.size, theta_d.size, -1)
-    table = BrdfTable(theta_h, theta_d, NODES, np.log(values), None)
-    return Reference(table, np.zeros((1, theta_h.size, theta_d.size)))
+    one = Lambert(NODES, np.full(NODES.size, np.pi))
+    table = BrdfTable(theta_h, theta_d, NODES, np.log(values), one)
+    return Reference(table, np.zeros((1, theta_h.size, theta_d.size, 3)))
 
 
 def _tracer(scene: Scene) -> Callable[[int], Vertices]:

@@ -127,11 +127,11 @@ def known(alpha: float, truth: Truth, *, as_table: bool) -> tuple[Reference, tup
     dataset = _measure(alpha, brdf=truth, wavelength_step=9.0, noise=1e-3, incident=tuple(range(0, 81, 10)))
     local = local_fit_for(dataset, METAL_FITS)
     fits = fit_models(dataset, local, METAL_FITS)
-    reference = without_draws(reference_table(dataset, roughness(fits), metal=True))
+    reference = without_draws(reference_table(dataset, roughness(fits)))
     if as_table:
         return reference, fits
     table = reference.table
-    formula = Formula(table.theta_h, table.theta_d, table.wavelengths, table.log_q, table.alpha, truth)
+    formula = Formula(table.theta_h, table.theta_d, table.wavelengths, table.log_q, table.guide, truth)
     return replace(reference, table=formula), fits
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from analysis.asked import asked, scene_weights
-from analysis.brdf_table import BrdfTable, folded, table_nodes, visibility
+from analysis.brdf_table import BrdfTable, Visibility, folded, table_nodes
 from analysis.directions import in_plane
 from analysis.scene import Scene
 from analysis.scene_rays import trace
@@ -57,8 +57,9 @@ def table(truth: Truth, values: Any) -> BrdfTable:
     theta_in, theta_out = folded(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
     cosine: FloatArray = values(theta_in, theta_out)[:, : VISIBLE.size]
     brdf = np.maximum(cosine, 1e-9) / np.cos(np.radians(theta_in))[:, None]
-    log_q = np.log(brdf / visibility(in_plane(theta_in, theta_out), truth.alpha)[:, None])
-    return BrdfTable(theta_h, theta_d, VISIBLE, log_q.reshape(theta_h.size, theta_d.size, -1), truth.alpha)
+    guide = Visibility(truth.alpha)
+    log_q = np.log(brdf / guide(in_plane(theta_in, theta_out), VISIBLE))
+    return BrdfTable(theta_h, theta_d, VISIBLE, log_q.reshape(theta_h.size, theta_d.size, -1), guide)
 
 
 def error(vertices: Vertices, truth: BrdfTable, spec: PlanSpec, measured: Sequence[Measured], of: Truth) -> float:
