@@ -116,7 +116,7 @@ def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about
         if _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
             limit = min(limit, tried[layout].size)
     layout = min(tried, key=lambda name: _rank(tried[name], budget))
-    done = _said(clamped)
+    done = clamping_words(clamped)
     description = _description(about, whole, layout, tried[layout], wavelengths, budget, done)
     content = encode(fields[layout] | {"description": np.frombuffer(description.encode(), np.uint8)})
     try:
@@ -221,7 +221,7 @@ def _judged(model: RenderedModel, bsdf: MeasuredBsdf, grid: Grid, size: int) -> 
     )
 
 
-def _said(clamped: Clamped | None) -> str:
+def clamping_words(clamped: Clamped | None) -> str:
     """A sentence on what clamping did."""
     if clamped is None:
         return ""
