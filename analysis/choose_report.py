@@ -1,7 +1,5 @@
 """The page of a choice: what the scene looks like by the measurement and by the model, and why this model."""
 
-import base64
-import io
 from html import escape
 
 import numpy as np
@@ -10,7 +8,7 @@ from analysis.asked import CARRIED, CELL
 from analysis.choose import Choice, Judged, least_directions
 from analysis.colour import display_encoded
 from analysis.figures import SEQUENCE
-from analysis.page import MODEL_NAMES, bullets, figure
+from analysis.page import MODEL_NAMES, bullets, figure, image_panel
 from analysis.svg import INK, new_axes, style, to_svg
 from analysis.verify import Verification, cheaper
 from drivers.arrays import FloatArray
@@ -119,14 +117,14 @@ def choice_body(choice: Choice, sample: str, scene: str, rendered: Verification 
 def pictures(choice: Choice) -> str:
     """The scene by the measurement and by the chosen model, and their difference."""
     picture = choice.picture
-    panels = [_captioned(_rgb(choice, picture.reference), "by the measurement")]
+    panels = [image_panel(_rgb(choice, picture.reference), "by the measurement")]
     caption = "The scene by the measurement; no model was chosen."
     if picture.chosen is not None and choice.chosen is not None:
         difference = picture.display.difference(picture.reference, picture.chosen)
         top = _brightest(choice, difference)
         panels += [
-            _captioned(_rgb(choice, picture.chosen), f"by {RUNG_NAMES[choice.chosen.rung.name]}"),
-            _captioned(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
+            image_panel(_rgb(choice, picture.chosen), f"by {RUNG_NAMES[choice.chosen.rung.name]}"),
+            image_panel(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
         ]
         caption = "The scene by the measurement and by the chosen model with one exposure, and CIEDE2000 between them."
     return figure(panels, caption, "three")
@@ -144,26 +142,14 @@ def _rendered(choice: Choice, rendered: Verification) -> str:
     difference[valid] = choice.picture.display.difference(rendered.reference[valid], rendered.chosen[valid])
     top = _brightest(choice, difference)
     panels = [
-        _captioned(_rgb(choice, np.nan_to_num(rendered.reference)), "rendered by the measurement"),
-        _captioned(_rgb(choice, np.nan_to_num(rendered.chosen)), "rendered by the model"),
-        _captioned(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
+        image_panel(_rgb(choice, np.nan_to_num(rendered.reference)), "rendered by the measurement"),
+        image_panel(_rgb(choice, np.nan_to_num(rendered.chosen)), "rendered by the model"),
+        image_panel(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
     ]
     return (
         "<h2>Rendered</h2>"
         + figure(panels, "The same scene and exposure, rendered by Mitsuba with the same random numbers.", "three")
         + bullets(verified_lines(rendered))
-    )
-
-
-def _captioned(image: FloatArray, words: str) -> str:
-    from matplotlib.image import imsave  # noqa: PLC0415  (takes a second)
-
-    file = io.BytesIO()
-    imsave(file, image, format="png")
-    data = base64.b64encode(file.getvalue()).decode()
-    return (
-        f'<div><img alt="{escape(words)}" style="width:100%;image-rendering:pixelated" '
-        f'src="data:image/png;base64,{data}"><div class="soft">{escape(words)}</div></div>'
     )
 
 

@@ -1,61 +1,64 @@
-"""Writes a fitted Cook-Torrance model with its shift as a `.bsdf` file for Mitsuba 3.
+"""Writes a model of the ladder, as the fits give it, as a `.bsdf` file for Mitsuba 3 and PBRT.
 
-The plugin `measured` of an unmodified renderer computes f cos(theta_o) = spectra(s) ndf(u) / (4 sigma), see
-`analysis.measured_bsdf`. With ndf = D and sigma = cos(theta_i) / G1(i) the model leaves
-G1(o) F shift for the table: bounded and smooth, so the steep lobe never has to be interpolated coarsely.
-Two layouts are tried for every file, and the one with the smaller measured error is kept:
+What is in the file stands in `analysis.bsdf_fields`. Two layouts are tried for every file, each with the smallest
+tables that keep the error budget, and the smaller file of those that keep it is written:
 
 - "flat": `vndf` is one everywhere, the nodes of the table are even in sqrt(theta_m) and phi_m;
 - "vndf": half of the nodes follow the normals that are visible from theta_i, the other half stay even.
 
-Conventions: u_x = sqrt(2 theta_m / pi), phi_m - phi_i = (2 u_y - 1) pi.
+A file that a renderer samples badly is noise, however right its values are: of such a layout the other one is taken.
+Where the model reflects more than all it is clamped first (`analysis.bsdf_energy`), and the error of the file is that
+against the clamped model.
 """
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from analysis.bsdf_fields import LOWEST_COS, bsdf_fields, unit
-from analysis.colour import delta_e_2000, xyz_weights
-from analysis.directions import Directions
-from analysis.distributions import g1
+from analysis.bsdf_energy import HIGHEST_ALBEDO, Clamped, clamp, darkening, file_albedo, sampling_noise
+from analysis.bsdf_error import LARGEST_TESTED_ANGLE, PAIRS, RelativeError, probe, read_back
+from analysis.bsdf_fields import Grid, bsdf_fields, size_of
+from analysis.bsdf_search import LARGEST_SIZE, USUAL_BUDGET, Budget, lobe_for, smallest_grid, wavelength_nodes
 from analysis.errors import ExportError
-from analysis.fresnel import Conductor, fresnel_conductor
-from analysis.measured_bsdf import evaluate, read_bsdf
-from analysis.models import cook_torrance, cosine_slope, shift
+from analysis.fresnel import Conductor
+from analysis.ladder import Model
+from analysis.measured_bsdf import MeasuredBsdf, read_bsdf
+from analysis.rendered_model import RenderedModel, of_fit, rendered
 from analysis.results import ModelFit
-from analysis.tensor_file import encode
+from analysis.tensor_file import Tensor, encode
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
-
-SPECTRAL_RANGE = (360.0, 830.0)
-"""Wavelengths, nm, that a spectral renderer asks for (the CIE observer's)."""
-
-COLOUR_BUDGET = 0.05
-"""Largest CIEDE2000 difference that interpolating between the wavelength nodes may cause."""
 
 LAYOUTS = {"flat": 0.0, "vndf": 0.5}
 """Share of the table's nodes that follows the visible normals, by layout."""
 
-LARGEST_TESTED_ANGLE = 80.0
-"""Degrees; directions beyond are in the file but not in its stated error."""
+NOISIEST = 0.5
+"""Relative standard deviation of a sample's weight beyond which a layout is not taken if the other one has less."""
 
-_TEST_PAIRS = 4000
-_TEST_SEED = 20220701
+_TESTED_WAVELENGTHS = 48
+_PARTS_OF_BUDGET = (1.0, 0.85)
+"""For which tables are sought, in turn; the second where the colours or the other wavelengths want more than sought."""
 
 
 @dataclass(frozen=True)
-class RelativeError:
-    """Relative error of a file against its model, the worst of all tested wavelengths for each direction pair.
+class Tried:
+    """A layout with its smallest tables."""
 
-    Half of the pairs are uniform in solid angle up to `LARGEST_TESTED_ANGLE`, half follow the model's own lobe.
-    """
-
-    median: float
-    p99: float
-    maximum: float
+    size: int
+    """Bytes, without the description."""
+    incident: int
+    """Nodes of theta_i."""
+    table: int
+    """Nodes along a side of the square."""
+    error: RelativeError
+    colour: float
+    """99th percentile of CIEDE2000, brightness included."""
+    noise: float
+    """Relative standard deviation of the weight of a sample, `analysis.bsdf_energy.sampling_noise`."""
+    albedo: float
+    """Largest albedo of the file in a white furnace."""
 
 
 @dataclass(frozen=True)
@@ -69,64 +72,69 @@ class BsdfReport:
     """Key of `LAYOUTS`."""
     wavelengths: FloatArray
     """[nodes] nm."""
-    colour_error: float
-    """Largest CIEDE2000 difference caused by the wavelength nodes."""
-    error: RelativeError
-    """Of the layout that was written."""
-    errors: dict[str, RelativeError]
-    """Of every layout that was tried."""
+    budget: Budget
+    clamped: str
+    """What was done to the model so that it reflects no more than all, a sentence; empty where nothing had to be."""
+    tried: dict[str, Tried]
+    """Every layout."""
     description: str
     """The text inside the file."""
 
+    @property
+    def written(self) -> Tried:
+        """The layout in the file."""
+        return self.tried[self.layout]
 
-@dataclass(frozen=True)
-class _Model:
-    """Parameters of Eq. 7, as `analysis.models.cook_torrance` takes them."""
-
-    alpha: float
-    conductor: Conductor
-    h: float
-    w: float
+    @property
+    def within_budget(self) -> bool:
+        """Whether the file keeps both parts of the budget."""
+        return _within(self.written, self.budget)
 
 
-def write_bsdf(
-    path: Path, alpha: float, conductor: Conductor, h: float = 0.0, w: float = 0.0, *, about: str = ""
-) -> BsdfReport:
-    """Write Cook-Torrance (`h` = 0) or Cook-Torrance x shift (Eq. 7) to `path`; `h` in 1/um.
+def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about: str = "") -> BsdfReport:
+    """Write a model of the ladder to `path`, in the smallest file that keeps `budget`, or in the best one there is.
 
-    `about` opens the description inside the file. Raises `OutOfRange` where the conductor's table does not
-    cover 360 to 830 nm, and `ExportError` where the file cannot be written.
+    `about` opens the description inside the file. Raises `OutOfRange` where the model does not cover 400 to 700 nm,
+    and `ExportError` where the file cannot be written.
     """
-    model = _Model(alpha, conductor, h, w)
-    wavelengths, colour_error = _wavelength_nodes(model)
-    contents = {
-        layout: bsdf_fields(partial(_at_normals, model, wavelengths), alpha, wavelengths, share)
-        for layout, share in LAYOUTS.items()
-    }
-    errors = {layout: _measured_error(encode(fields), model) for layout, fields in contents.items()}
-    layout = min(errors, key=lambda name: errors[name].p99)
-    description = _description(about, model, layout, errors[layout], wavelengths, colour_error)
-    content = encode(contents[layout] | {"description": np.frombuffer(description.encode(), np.uint8)})
+    whole = rendered(model)
+    clamped = clamp(whole.reflectance, whole.alpha, np.linspace(*whole.wavelengths, _TESTED_WAVELENGTHS))
+    if clamped is not None:
+        whole = replace(whole, reflectance=clamped)
+    wavelengths, spent = wavelength_nodes(whole, budget)
+    lobe = lobe_for(whole, wavelengths, budget)
+    tried: dict[str, Tried] = {}
+    fields: dict[str, dict[str, Tensor]] = {}
+    limit = LARGEST_SIZE
+    for layout, share in LAYOUTS.items():
+        for part in _PARTS_OF_BUDGET:
+            grid, found = smallest_grid(whole, wavelengths, lobe, share, spent, part * budget.error, limit)
+            fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
+            tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
+            if not found or _within(tried[layout], budget):
+                break
+        if _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
+            limit = min(limit, tried[layout].size)
+    layout = min(tried, key=lambda name: _rank(tried[name], budget))
+    done = _said(clamped)
+    description = _description(about, whole, layout, tried[layout], wavelengths, budget, done)
+    content = encode(fields[layout] | {"description": np.frombuffer(description.encode(), np.uint8)})
     try:
         path.write_bytes(content)
     except OSError as fault:
         raise ExportError(f"The file {path} cannot be written: {fault.strerror}.") from fault
-    return BsdfReport(path, len(content), layout, wavelengths, colour_error, errors[layout], errors, description)
+    return BsdfReport(path, len(content), layout, wavelengths, budget, done, tried, description)
 
 
-def write_fit(path: Path, fit: ModelFit, dataset: Dataset, conductor: Conductor) -> BsdfReport:
-    """Write a fit of "cook-torrance" or "cook-torrance-shift" to `path`, described by what it was fitted to.
+def write_fit(
+    path: Path, fit: ModelFit, dataset: Dataset, conductor: Conductor, budget: Budget = USUAL_BUDGET
+) -> BsdfReport:
+    """Write the fit of a microfacet model to `path`, described by what it was fitted to.
 
-    Raises as `write_bsdf`, and `ExportError` for another model or distribution than GGX: the file would not be of it.
+    `conductor` is that of the fit, if it is of a metal. Raises as `write_bsdf`, and `ExportError` for a model that says
+    nothing of brightness.
     """
-    if fit.model not in {"cook-torrance", "cook-torrance-shift"} or fit.distribution != "ggx":
-        normals = f" with {fit.distribution}" if fit.distribution else ""
-        raise ExportError(
-            f"The model {fit.model}{normals} cannot be rendered: export a fit of cook-torrance or cook-torrance-shift "
-            "with ggx."
-        )
-    h, w = (fit.value("h"), fit.value("w")) if fit.model != "cook-torrance" else (0.0, 0.0)
-    return write_bsdf(path, fit.value("alpha"), conductor, h, w, about=describe(fit, dataset))
+    return write_bsdf(path, of_fit(fit, conductor), budget, about=describe(fit, dataset))
 
 
 def describe(fit: ModelFit, dataset: Dataset) -> str:
@@ -147,89 +155,110 @@ def describe(fit: ModelFit, dataset: Dataset) -> str:
     return "\n".join(lines)
 
 
-def _wavelength_nodes(model: _Model) -> tuple[FloatArray, float]:
-    """Few wavelengths, nm, between which a linear table keeps the colour, and the difference that remains.
-
-    Nodes are added where the luminous error is largest until no test spectrum (angles of incidence on the
-    facet 0 to 75 degrees, the model's own range of slopes) is more than `COLOUR_BUDGET` off in CIEDE2000.
-    """
-    fine = np.linspace(*SPECTRAL_RANGE, 189)
-    n, k = model.conductor.index(fine)
-    slopes = cosine_slope(np.linspace(0, 90, 181), model.h, model.w)
-    cosines = np.cos(np.radians([0.0, 30, 60, 75]))
-    fresnel = fresnel_conductor(cosines[:, None], n, k)
-    tilts = shift(np.array([slopes.min(), 0.0, slopes.max()]), fine)
-    exact = (fresnel[:, None] * tilts).reshape(-1, fine.size)
-    weights = xyz_weights(fine)
-    nodes = [0, fine.size - 1]
-    while True:
-        table = np.array([np.interp(fine, fine[nodes], spectrum[nodes]) for spectrum in exact])
-        difference = float(delta_e_2000(table @ weights, exact @ weights).max())
-        if difference <= COLOUR_BUDGET:
-            return fine[nodes], difference
-        error = np.abs(table - exact).max(axis=0) * weights.max(axis=1)
-        nodes = sorted([*nodes, int(np.argmax(error))])
+def report_lines(report: BsdfReport) -> list[str]:
+    """What a person has to know of a file: its size, its error, its light."""
+    found, wavelengths = report.written, report.wavelengths
+    lines = [
+        f"{report.size / 1e6:.2f} MB, layout {report.layout}: {found.incident} theta_i x {found.table} x {found.table} "
+        f"normals x {wavelengths.size} wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm",
+        f"error against the model up to {LARGEST_TESTED_ANGLE:g} deg, the worst of all wavelengths: median "
+        f"{found.error.median:.2%}, 99 of 100 directions below {found.error.p99:.2%}, at most "
+        f"{found.error.maximum:.2%}; 99 of 100 colours within {found.colour:.2f} dE00",
+        f"largest albedo in a white furnace {found.albedo:.4f}",
+    ]
+    if not report.within_budget:
+        lines.append(
+            f"the budget of {report.budget.error:.2%} and {report.budget.colour:g} dE00 is NOT kept: no file up to "
+            f"{LARGEST_SIZE / 1e6:g} MB keeps it, this is the best one"
+        )
+    return [*lines, *([report.clamped] if report.clamped else [])]
 
 
-def _at_normals(
-    model: _Model, wavelengths: FloatArray, theta_i: float, normal: FloatArray, cos_d: FloatArray
-) -> FloatArray:
-    """G1(o) F shift [nodes, wavelengths]."""
-    cos_o = 2 * cos_d * normal[:, 2] - np.cos(theta_i)
-    n, k = model.conductor.index(wavelengths)
-    masking = g1(np.maximum(cos_o, LOWEST_COS), model.alpha)
-    fresnel = fresnel_conductor(np.maximum(cos_d, LOWEST_COS)[:, None], n, k)
-    theta_m = np.degrees(np.arccos(np.clip(normal[:, 2], -1, 1)))
-    tilt = shift(cosine_slope(theta_m, model.h, model.w), wavelengths)
-    return np.asarray(masking[:, None] * fresnel * tilt)
+def report_content(report: BsdfReport) -> dict[str, Any]:
+    """The same as one JSON object."""
+    return {
+        "bytes": report.size,
+        "layout": report.layout,
+        "wavelengths_nm": report.wavelengths.tolist(),
+        "budget": {"p99": report.budget.error, "dE00": report.budget.colour, "kept": report.within_budget},
+        "tested_up_to_deg": LARGEST_TESTED_ANGLE,
+        "clamped": report.clamped or None,
+        "layouts": {name: asdict(tried) for name, tried in report.tried.items()},
+    }
 
 
-def _test_directions(alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Incident and reflected unit vectors [pairs, 3]: half uniform in solid angle, half within the lobe."""
-    rng = np.random.default_rng(_TEST_SEED)
-    lowest = np.cos(np.radians(LARGEST_TESTED_ANGLE))
-
-    def uniform() -> FloatArray:
-        return unit(np.arccos(rng.uniform(lowest, 1, _TEST_PAIRS)), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
-
-    incident = uniform()
-    share = rng.random(_TEST_PAIRS)
-    normal = unit(np.arctan(alpha * np.sqrt(share / (1 - share))), rng.uniform(-np.pi, np.pi, _TEST_PAIRS))
-    reflected = 2 * np.sum(incident * normal, axis=-1, keepdims=True) * normal - incident
-    lit = np.flatnonzero(reflected[:, 2] > lowest)[: _TEST_PAIRS // 2]
-    even = uniform()
-    others = slice(_TEST_PAIRS - lit.size, None)
-    return np.concatenate([incident[lit], uniform()[others]]), np.concatenate([reflected[lit], even[others]])
+def _within(tried: Tried, budget: Budget) -> bool:
+    return tried.error.p99 <= budget.error and tried.colour <= budget.colour and tried.albedo <= HIGHEST_ALBEDO
 
 
-def _measured_error(content: bytes, model: _Model) -> RelativeError:
-    """Read `content` back as a renderer does and compare it with the model."""
-    incident, reflected = _test_directions(model.alpha)
-    wavelengths = np.linspace(*SPECTRAL_RANGE, 48)
-    half = incident + reflected
-    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
-    cosines = Directions(incident[:, 2], reflected[:, 2], half[:, 2], np.sum(incident * half, axis=-1))
-    exact = cook_torrance(cosines, wavelengths, model.alpha, model.conductor, model.h, model.w)
-    exact = exact * reflected[:, 2:]
-    found = evaluate(read_bsdf(content), incident, reflected, wavelengths)
-    # a clamped shift makes the model exactly zero: relate to the brightest wavelength of the direction there
-    scale = np.maximum(exact, 1e-3 * exact.max(axis=-1, keepdims=True))
-    worst = np.max(np.abs(found - exact) / scale, axis=-1)
-    return RelativeError(float(np.median(worst)), float(np.percentile(worst, 99)), float(worst.max()))
+def _rank(tried: Tried, budget: Budget) -> tuple[bool, bool, float]:
+    """The smallest file comes first, if it keeps the budget and is sampled well; else the best one."""
+    within = _within(tried, budget)
+    return not within, tried.noise > NOISIEST, tried.size if within else tried.error.p99
+
+
+def _tables(
+    model: RenderedModel, wavelengths: FloatArray, grid: Grid, lobe: FloatArray
+) -> tuple[dict[str, Tensor], MeasuredBsdf]:
+    """The fields of a file that reflects no more than all, and how a renderer reads it."""
+    fields = bsdf_fields(model.reflectance, model.alpha, wavelengths, grid, lobe)
+    darker = darkening(read_bsdf(encode(fields)), model.alpha)
+    fields["spectra"] = fields["spectra"] * darker[None, :, :, None, None]
+    return fields, read_bsdf(encode(fields))
+
+
+def _judged(model: RenderedModel, bsdf: MeasuredBsdf, grid: Grid, size: int) -> Tried:
+    at = probe(model, np.linspace(*model.wavelengths, _TESTED_WAVELENGTHS))
+    found = read_back(bsdf, at)
+    return Tried(
+        size,
+        grid.incident,
+        grid.table,
+        at.relative(found),
+        float(np.percentile(at.colours(found), 99)),
+        sampling_noise(bsdf, model.alpha),
+        float(file_albedo(bsdf, model.alpha)[1].max()),
+    )
+
+
+def _said(clamped: Clamped | None) -> str:
+    """A sentence on what clamping did."""
+    if clamped is None:
+        return ""
+    angle, wavelength = (int(i) for i in np.unravel_index(np.argmin(clamped.factor), clamped.factor.shape))
+    touched = clamped.wavelengths[np.any(clamped.factor < 1, axis=0)]
+    angles = clamped.angles[np.any(clamped.factor < 1, axis=1)]
+    lowest = clamped.factor[angle, wavelength]
+    return (
+        f"Clamped: the model reflects more light than falls on it, up to {1 / lowest:.3f} of it (at "
+        f"{clamped.angles[angle]:g} deg, {clamped.wavelengths[wavelength]:g} nm), so it is multiplied by the smaller "
+        f"of 1 / albedo at theta_i and at theta_o, {lowest:.3f} at least; this concerns {touched[0]:g} to "
+        f"{touched[-1]:g} nm and {angles[0]:g} to {angles[-1]:g} deg."
+    )
 
 
 def _description(
-    about: str, model: _Model, layout: str, error: RelativeError, wavelengths: FloatArray, colour_error: float
+    about: str,
+    model: RenderedModel,
+    layout: str,
+    found: Tried,
+    wavelengths: FloatArray,
+    budget: Budget,
+    clamped: str,
 ) -> str:
     """The text inside the file."""
     lines = [
         *([about] if about else []),
-        f"Cook-Torrance with GGX alpha = {model.alpha:.17g} and conductor {model.conductor.name}, times the shift "
-        f"1 + m (lambda - 600 nm), m = h cos(w theta_m), h = {model.h:.17g} /um, w = {model.w:.17g}.",
-        f"Table layout {layout}; error of this file against the model at {len(wavelengths)} wavelength nodes: "
-        f"relative, worst of 360 to 830 nm, median {error.median:.2g}, 99th percentile {error.p99:.2g}, "
-        f"maximum {error.maximum:.2g} over {_TEST_PAIRS} pairs of directions up to {LARGEST_TESTED_ANGLE:g} deg, "
-        "half of them uniform in solid angle and half within the lobe; "
-        f"the wavelength nodes alone cost at most {colour_error:.2g} CIEDE2000.",
+        f"{model.words}.",
+        f"Beyond {model.wavelengths[0]:g} to {model.wavelengths[1]:g} nm the spectra go on as they end.",
+        f"Table layout {layout}; error of this file against the model at {wavelengths.size} wavelength nodes: "
+        f"relative, worst of {model.wavelengths[0]:g} to {model.wavelengths[1]:g} nm, median {found.error.median:.2g}, "
+        f"99th percentile {found.error.p99:.2g}, maximum {found.error.maximum:.2g} over {PAIRS} pairs of directions up "
+        f"to {LARGEST_TESTED_ANGLE:g} deg, half of them uniform in solid angle and half within the lobe; 99th "
+        f"percentile of the colour difference {found.colour:.2g} CIEDE2000.",
+        f"The error budget of {budget.error:g} and {budget.colour:g} CIEDE2000 is "
+        f"{'kept' if _within(found, budget) else 'NOT kept: this is the best file that there is'}.",
+        f"Largest albedo in a white furnace {found.albedo:.4f}.",
+        *([clamped] if clamped else []),
     ]
     return "\n".join(lines)

@@ -4,18 +4,17 @@ Figure numbers are those of Clausen et al. 2022. Every function takes a `name` t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.colour import brdf_to_rgb, display_encoded
 from analysis.directions import in_plane
 from analysis.filled_figure import STEP, at_nearest, draw_filled, filled_cells, filled_legend, hatch
 from analysis.fits import fitted_slope
 from analysis.noise import LEAST_SIGNAL_FOR_HUE, at_wavelength, clear_of_noise, flag_words, hue_is_known
 from analysis.notation import with_uncertainty
 from analysis.results import LocalFit, ModelFit
+from analysis.shown_colours import Exposure, shown_colours
 from analysis.svg import INK, Cell, hex_colour, new_axes, style, to_svg
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
@@ -38,23 +37,6 @@ _MISSING = "#80808026"
 _LEAST_SIGNAL = (
     100.0  # signal over standard uncertainty of the counts below which a single spectrum would only show its noise
 )
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """How radiometric values become display colours."""
-
-    factor: float
-    """Linear RGB is multiplied by it; (1, 1, 1) is then f cos(theta_in) = 1 / factor."""
-    clipped: int
-    """How many of the measured points are brighter than the display."""
-
-
-def exposure_of(dataset: Dataset) -> Exposure:
-    """Exposure that maps the 95th percentile of the brightest channel to white."""
-    brightest = brdf_to_rgb(dataset.brdf, dataset.theta_in, dataset.wavelengths).max(axis=-1)
-    factor = 1 / float(np.nanpercentile(brightest, 95))
-    return Exposure(factor, int(np.sum(brightest * factor > 1)))
 
 
 def line_colours(count: int) -> list[str]:
@@ -127,7 +109,8 @@ def colour_map(
     known well enough lies under the hatching of what was not measured, and its tooltip says so.
     """
     f, u = at_wavelength(dataset, 600.0)
-    fills = _fills(values, dataset.theta_in, dataset.wavelengths, exposure, hue_is_known(dataset, 600.0))
+    colours = shown_colours(values, dataset.theta_in, dataset.wavelengths, exposure, hue_is_known(dataset, 600.0))
+    fills = [colour or _MISSING for colour in colours]
     if not measured:
         return _map(dataset, fills, [""] * f.size, name, title)
     words = [flag_words(int(flags)) for flags in dataset.flags]
@@ -138,24 +121,13 @@ def colour_map(
     return _map(dataset, fills, extra, name, title, dataset.flags != 0, _unmeasured_cells(dataset, filled, exposure))
 
 
-def _fills(
-    values: FloatArray, theta_in: FloatArray, wavelengths: FloatArray, exposure: Exposure | None, has_hue: BoolArray
-) -> list[str]:
-    """CSS colours of spectra [points, wavelengths], 1/sr; without an exposure all of one luminance."""
-    rgb = brdf_to_rgb(values, theta_in, wavelengths)
-    if exposure is None:
-        luminance = rgb @ [0.2126, 0.7152, 0.0722]
-        rgb = 0.45 * rgb / np.where((luminance > 0) & has_hue, luminance, np.nan)[:, None]
-    else:
-        rgb = rgb * exposure.factor
-    return [hex_colour(c) if np.isfinite(c).all() else _MISSING for c in display_encoded(rgb)]
-
-
 def _unmeasured_cells(dataset: Dataset, filled: Filled | None, exposure: Exposure | None) -> list[Cell]:
     if filled is None:
         return []
     f, u = at_nearest(filled, 600.0)
-    fills = _fills(filled.brdf, filled.theta_in, filled.wavelengths, exposure, f > LEAST_SIGNAL_FOR_HUE * u)
+    known = f > LEAST_SIGNAL_FOR_HUE * u
+    colours = shown_colours(filled.brdf, filled.theta_in, filled.wavelengths, exposure, known)
+    fills = [colour or _MISSING for colour in colours]
     rows = {(bottom, top) for _, _, bottom, top in cell_edges(dataset).tolist()}
     return filled_cells(filled, fills, sorted(rows))
 

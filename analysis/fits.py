@@ -18,6 +18,7 @@ from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import Weight
 from analysis.microfacet import slope_of
 from analysis.results import Comparison, LocalFit, ModelFit, Verdict
+from analysis.stored_fit import StoredFit
 from analysis.wording import words
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -144,7 +145,7 @@ def _fall(amount: float, digits: int) -> str:
     return f"{'falls' if amount >= 0 else 'rises'} by {abs(amount):.{digits}g}"
 
 
-def fitted_slope(fit: ModelFit, directions: Directions) -> FloatArray:
+def fitted_slope(fit: ModelFit | StoredFit, directions: Directions) -> FloatArray:
     """[...] slope of the shift that a fit gives at `directions` [...], 1/um; zero for a model without shift."""
     parameters = np.array([parameter.value for parameter in fit.parameters if parameter.name != "p"])
     if fit.model in SLOPE_MODELS:

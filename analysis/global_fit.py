@@ -8,7 +8,7 @@ two-component slope (`analysis.two_component`) starts from that cosine and goes 
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from analysis.directions import Directions, in_plane
 from analysis.errors import FitError
@@ -297,7 +297,7 @@ def _on_the_grid(slopes: FloatArray, weight: FloatArray, theta: FloatArray) -> F
 
 def _refine(slopes: FloatArray, weight: FloatArray, theta: FloatArray, near: float) -> tuple[FloatArray, float]:
     """The best cosine within a step of the grid from the w `near`."""
-    refined = minimize_scalar(
+    refined = scipy.optimize.minimize_scalar(
         lambda w: _cosine_at(slopes, weight, theta, float(w))[1],
         bounds=(max(near - _W_STEP, W_BOUNDS[0]), min(near + _W_STEP, W_BOUNDS[1])),
         method="bounded",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from analysis.noise import flag_sentences
 from analysis.results import Verdict
@@ -73,7 +73,7 @@ def _against(evidence: SlopeEvidence) -> tuple[list[str], tuple[str, ...]]:
     f_value = gained / (evidence.chi2 / left) if evidence.chi2 > 0 else np.inf
     # w is free only under the cosine; the search tries about this many independent ones, each a chance to fool it
     trials = max(1.0, evidence.w_bounds[1] * evidence.largest_theta_m / np.pi)
-    probability = min(1.0, trials * float(f_distribution.sf(f_value, free - 1, left)))
+    probability = min(1.0, trials * float(fdtrc(free - 1, left, f_value)))
     value = dict(zip(evidence.names, map(float, evidence.values), strict=True))
     u = dict(zip(evidence.names, map(float, evidence.u), strict=True))
     h, w = value["h"], value["w"]

@@ -57,7 +57,7 @@ class Material:
     def element(self, file: Path) -> str:
         """The BSDF in a scene, its tables written to `file`."""
         file.write_bytes(self.content())
-        return _bsdf("measured", f'<string name="filename" value="{file}"/>')
+        return bsdf_element("measured", f'<string name="filename" value="{file}"/>')
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,11 @@ class Plugin:
 
     def element(self, _: Path) -> str:
         """The BSDF in a scene."""
-        return _bsdf(self.name, self.settings)
+        return bsdf_element(self.name, self.settings)
 
 
-def _bsdf(kind: str, inside: str) -> str:
+def bsdf_element(kind: str, inside: str) -> str:
+    """The material of a scene, in XML: a plugin of Mitsuba with its parameters."""
     return f'<bsdf type="{kind}" id="sample">{inside}</bsdf>'
 
 
@@ -170,13 +171,21 @@ def _run(scene: MitsubaScene, job: dict[str, Any], materials: Sequence[Material 
             "images": list(scene.images),
         }
         (folder / "job.json").write_text(json.dumps(whole))
-        done = subprocess.run(
-            [sys.executable, "-m", "analysis.mitsuba_worker", name], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0:
-            raise RenderError(_why(done.stderr))
-        with np.load(folder / "out.npz") as arrays:
-            return {key: arrays[key] for key in arrays.files}
+        return run_worker("analysis.mitsuba_worker", folder)
+
+
+def run_worker(module: str, folder: Path) -> dict[str, Any]:
+    """Arrays by name that a worker leaves in `out.npz` of a folder with its job.
+
+    Raises `RenderError` where Mitsuba is not there or fails.
+    """
+    done = subprocess.run([sys.executable, "-m", module, str(folder)], capture_output=True, text=True, check=False)
+    if done.returncode < 0:
+        raise RenderError(f"Mitsuba ended by signal {-done.returncode}.")
+    if done.returncode != 0:
+        raise RenderError(_why(done.stderr))
+    with np.load(folder / "out.npz") as arrays:
+        return {key: arrays[key] for key in arrays.files}
 
 
 def _why(told: str) -> str:

@@ -14,11 +14,18 @@ def at_wavelength(dataset: Dataset, wavelength: float) -> tuple[FloatArray, Floa
 
     Interpolated between two neighbours; an error that these share does not average out between them.
     """
-    pair, share = _neighbours(dataset, wavelength)
-    value = dataset.brdf[:, pair] @ share
+    return weighted(dataset, *_neighbours(dataset, wavelength))
+
+
+def weighted(dataset: Dataset, chosen: slice, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted sum of the BRDF over `chosen` wavelengths [points], and its standard uncertainty, 1/sr.
+
+    `weights` are those of the chosen ones; an error that these share does not average out between them.
+    """
+    value = dataset.brdf[:, chosen] @ weights
     variance = np.zeros(value.size)
     for source in dataset.sources:
-        parts = source.values[:, pair] * share
+        parts = source.values[:, chosen] * weights
         variance += parts.sum(axis=1) ** 2 if source.shared_by_wavelengths else (parts**2).sum(axis=1)
     return value, np.where(np.isfinite(value), np.sqrt(variance), np.nan)
 

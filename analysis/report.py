@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.bsdf_error import LARGEST_TESTED_ANGLE
 from analysis.errors import ExportError
-from analysis.export_mitsuba import LARGEST_TESTED_ANGLE, BsdfReport
+from analysis.export_mitsuba import BsdfReport
 from analysis.page import MODEL_NAMES, bullets, page
 from analysis.report_measured import measured_chapter, shift_chapter
 from analysis.report_models import models_chapter
@@ -159,7 +160,7 @@ def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
     text = f'<h2>Files</h2><div class="wide"><table><tbody>{rows}</tbody></table></div>'
     if facts.bsdf is None:
         return text
-    error = facts.bsdf.error
+    error = facts.bsdf.written.error
     doubt = "" if analysis.model("cook-torrance-shift").verdict.trusted else ", and this fit is not to be trusted"
     median, p99, maximum = (f"{100 * value:.1f} %" for value in (error.median, error.p99, error.maximum))
     return text + (
@@ -167,8 +168,10 @@ def _files(analysis: SampleAnalysis, facts: RunFacts) -> str:
         f"{words(analysis.dataset).result}{doubt}: an in-plane scan cannot fill a hemisphere. Read back as a renderer "
         "reads it, it is off "
         f"its model by {median} at the median, by less than {p99} in 99 of 100 directions and by {maximum} at most, up "
-        f"to {LARGEST_TESTED_ANGLE:g}° from the normal; interpolating its {len(facts.bsdf.wavelengths)} wavelengths "
-        f"costs at most {facts.bsdf.colour_error:.2f} dE00.</p>"
+        f"to {LARGEST_TESTED_ANGLE:g}° from the normal, with its {len(facts.bsdf.wavelengths)} wavelengths; 99 of 100 "
+        f"colours are within {facts.bsdf.written.colour:.2f} dE00. In a white furnace it reflects "
+        f"{100 * facts.bsdf.written.albedo:.1f} % at most."
+        f"{' ' + escape(facts.bsdf.clamped) if facts.bsdf.clamped else ''}</p>"
     )
 
 

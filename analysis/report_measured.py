@@ -6,6 +6,7 @@ from analysis import figures
 from analysis.filled_figure import STEP
 from analysis.page import MODEL_NAMES, bullets, figure
 from analysis.results import ModelFit, SampleAnalysis
+from analysis.shown_colours import exposure_of
 from analysis.wording import words
 from goniometer.between import FEWEST
 from goniometer.dataset import Dataset
@@ -18,7 +19,7 @@ TWO_COMPONENT_MODELS = ("global-two-component", "two-component", "dielectric-two
 def measured_chapter(analysis: SampleAnalysis) -> str:
     """What was measured, or simulated: maps, distributions, spectra."""
     dataset, local, named = analysis.dataset, analysis.local, words(analysis.dataset)
-    exposure = figures.exposure_of(dataset)
+    exposure = exposure_of(dataset)
     enough = np.count_nonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1)) >= FEWEST
     filled = fill(dataset, *unmeasured(dataset, STEP)) if enough and not dataset.simulated else None
     noise = "single values" if dataset.simulated else "counts"

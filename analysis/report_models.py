@@ -12,6 +12,7 @@ from analysis.misfit import PARTS_OF_FITS
 from analysis.notation import roughly, uncertainty, with_uncertainty
 from analysis.page import MODEL_NAMES, figure
 from analysis.results import ModelFit, SampleAnalysis
+from analysis.shown_colours import exposure_of
 from analysis.wording import words
 
 _UNIT = {"1": "", "1/um": "/µm"}
@@ -36,7 +37,7 @@ _MEANING = {
 def models_chapter(analysis: SampleAnalysis) -> str:
     """Colour differences, parameters and their uncertainty, and the fits beside the measurement."""
     dataset, named = analysis.dataset, words(analysis.dataset)
-    exposure = figures.exposure_of(dataset)
+    exposure = exposure_of(dataset)
     plain, shifted = analysis.model("cook-torrance"), analysis.model("cook-torrance-shift")
     pictures = [
         figures.colour_map(dataset, plain.fitted, exposure, "ct", "Cook-Torrance"),

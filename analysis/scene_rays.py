@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from analysis.colour import illuminant
 from analysis.directions import from_vectors
@@ -88,7 +88,7 @@ def trace(scene: Scene, alpha: float, samples: int = 64, seed: int = 1) -> Verti
 def _sample_numbers(pixels: int, samples: int, seed: int) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
     """Pixel, half and six numbers in [0, 1) of every camera ray."""
     random = np.random.default_rng(seed)
-    net = qmc.Sobol(6, scramble=False).random(samples // 2)
+    net = scipy.stats.qmc.Sobol(6, scramble=False).random(samples // 2)
     shifts = random.random((pixels, 2, 1, 6))
     numbers = (net + shifts) % 1.0
     pixel = np.repeat(np.arange(pixels), samples)

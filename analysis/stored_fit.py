@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.brdf_fit import form_of
+from analysis.brdf_problem import log_model
 from analysis.directions import in_plane
 from analysis.distributions import Distribution
 from analysis.errors import OutOfRange
 from analysis.fresnel import Conductor
 from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
 from analysis.least_squares import Engine
-from analysis.microfacet import brdf
+from analysis.microfacet import aperture_for, brdf, view
 from analysis.models import normalised_fresnel, shift
 from analysis.results import Albedo, Comparison, Parameter, Verdict
 from drivers.arrays import FloatArray
@@ -84,6 +85,22 @@ def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavele
     form = form_of(fit.model, fit.conductor, fit.distribution or "ggx")
     albedo = None if fit.albedo is None else _albedo_at(fit.albedo, wavelengths)
     return brdf(form, directions, wavelengths, parameters, albedo)
+
+
+def as_measured(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
+    """What an instrument with the aperture of the fitted data reads of a microfacet model, 1/sr.
+
+    `theta_in` and `theta_out` [points] in degrees, `wavelengths` [wavelengths] in nm; at all points of its dataset
+    together what the fit itself gave, to the last bit. Raises `OutOfRange` for a model of the slopes, which has no
+    brightness of its own, and what `evaluate` raises.
+    """
+    if fit.model in SLOPE_MODELS:
+        raise OutOfRange(f"The model {fit.model} tells slopes and no brightness; ask for a microfacet model.")
+    form = form_of(fit.model, fit.conductor, fit.distribution or "ggx")
+    parameters = np.array([parameter.value for parameter in fit.parameters])
+    albedo = None if fit.albedo is None else _albedo_at(fit.albedo, wavelengths)
+    seen = view(form, theta_in, theta_out, wavelengths, aperture_for(float(parameters[0]), fit.aperture))
+    return np.asarray(np.expm1(log_model(seen, parameters, albedo)) / seen.cos_in)
 
 
 def _albedo_at(albedo: Albedo, wavelengths: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from analysis.figures import SEQUENCE
 from analysis.svg import INK, new_axes, style, to_svg
@@ -234,7 +234,9 @@ def _rendered(
     places = y / side - 0.5, x / side - 0.5
     dy, dx = np.gradient(relief, side)
     light = (_LIGHT[2] - dx * _LIGHT[0] - dy * _LIGHT[1]) / np.sqrt(1 + dx**2 + dy**2)
-    z, colour, light = (ndimage.map_coordinates(v, places, order=1, mode="nearest") for v in (relief, shade, light))
+    z, colour, light = (
+        scipy.ndimage.map_coordinates(v, places, order=1, mode="nearest") for v in (relief, shade, light)
+    )
     rgba = colormaps[_COLOURS](np.clip(colour, 0, 1))
     rgba[..., :3] = np.clip(rgba[..., :3] * (0.4 + 0.75 * np.clip(light, 0, None))[..., None], 0, 1)
     up = np.where(inside, away * np.sin(_ELEVATION) + z * np.cos(_ELEVATION), -np.inf)

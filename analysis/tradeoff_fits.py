@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import lmfit
 import numpy as np
 from numpy.typing import NDArray
 
@@ -249,12 +248,14 @@ def _from_usual_start(dataset: Dataset, conductor: Conductor) -> FloatArray:
 
 
 def _descend_with_derivatives(posed: SumOfSquares, start: FloatArray) -> FloatArray:
+    import lmfit  # noqa: PLC0415  (takes most of a second)
+
     names = [f"p{i}" for i in range(start.size)]
     wanted = lmfit.Parameters()
     for name, value, low, high in zip(names, start, posed.lower, posed.upper, strict=True):
         wanted.add(name, value=min(max(value, low + 1e-6), high - 1e-6), min=low, max=high)
 
-    def values(parameters: lmfit.Parameters) -> FloatArray:
+    def values(parameters: "lmfit.Parameters") -> FloatArray:
         return np.array([parameters[name].value for name in names])
 
     found = lmfit.minimize(

@@ -20,26 +20,34 @@ from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
+from api.cli_export import register as add_export
+from api.cli_export import tell_export
 from api.cli_import import register as add_import
 from api.cli_photos import register as add_photos
 from api.cli_quality import register as add_quality
+from api.cli_render import register as add_render
+from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
 from api.cli_tradeoff import register as add_tradeoff
 from api.datasets import too_noisy
 from api.demo import demo as run_demo
-from api.derive import Export, slug, write_text
+from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
+from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
-from api.products import Format, HowToFit, export_dataset, fit_dataset, fit_lines, report_dataset
+from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
 from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.campaign_file import load_campaign
+from goniometer.dataset import kind_of
+from goniometer.dataset_file import last_file
 from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY
@@ -78,7 +86,7 @@ def demo(
     _fail_for(result.failures)
 
 
-@app.command(name="run")
+@app.command(name="run", cls=Logged)
 def run_command(
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
@@ -193,15 +201,21 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         entry["datasets"] = list(store.datasets(entry["id"]))
     alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
     samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
-    imported, simulated = ([i for i in alone if origin in lineages[i]] for origin in ("imported", "simulated"))
+    of_kind: dict[str, list[tuple[int, object]]] = {"measured": [], "imported": [], "simulated": []}
+    for i, lineage in lineages.items():
+        kind = kind_of(lineage)
+        of_kind[kind].append((i, last_file(lineage) if kind == "measured" else lineage[kind]))
     if as_json:
         emit(
             {
                 "database": str(database),
                 "campaigns": store.campaigns(),
                 "scans": found,
-                "imported": [{"dataset": i, "sample": samples[i], "file": lineages[i]["imported"]} for i in imported],
-                "simulated": [{"dataset": i, "sample": samples[i], "how": lineages[i]["simulated"]} for i in simulated],
+                "measured_elsewhere": [
+                    {"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["measured"]
+                ],
+                "imported": [{"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["imported"]],
+                "simulated": [{"dataset": i, "sample": samples[i], "how": how} for i, how in of_kind["simulated"]],
             }
         )
         return
@@ -216,10 +230,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
         line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
-    for dataset_id in alone:
-        origin = "imported" if dataset_id in imported else "simulated"
-        line = f"{origin}: {samples[dataset_id]}: {lineages[dataset_id][origin]}, dataset {dataset_id}"
-        out.print(line, markup=False, highlight=False)
+    for made, those in of_kind.items():
+        what = "measured elsewhere" if made == "measured" else made
+        for i, origin in those:
+            out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
 
 
 def _command(verb: Command) -> Callable[[Path, bool], None]:
@@ -239,10 +253,10 @@ def _command(verb: Command) -> Callable[[Path, bool], None]:
 
 
 for _verb in ("pause", "resume", "abort"):
-    app.command(name=_verb)(_command(_verb))
+    app.command(name=_verb, cls=Logged)(_command(_verb))
 
 
-@app.command()
+@app.command(cls=Logged)
 def fit(
     dataset: DatasetName,
     model: Annotated[
@@ -273,30 +287,21 @@ def fit(
         out.print(line, markup=False, highlight=False)
 
 
-@app.command()
-def export(
-    dataset: DatasetName,
-    to: Annotated[Format, typer.Option(help="json: all fits; mitsuba: a .bsdf file for Mitsuba 3.")],
-    path: Annotated[Path | None, typer.Option("--output", "-o", help="File to write.")] = None,
-    database: DatabaseFile = DATABASE,
-    as_json: AsJson = False,
-) -> None:
-    """Write a dataset's fits, or its fitted model for a renderer, to a file."""
-    store = existing(database)
-    _tell_export(export_dataset(store, chosen_dataset(store, dataset), to, path), as_json=as_json)
-
-
+add_access(app)
 add_characterisations(app)
 add_choose(app)
+add_export(app)
 add_import(app)
 add_photos(app)
 add_quality(app)
+add_render(app)
+add_serve(app)
 add_stability(app)
 add_tradeoff(app)
 app.add_typer(simulate, name="simulate")
 
 
-@app.command()
+@app.command(cls=Logged)
 def report(
     dataset: DatasetName,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="HTML file to write.")] = None,
@@ -305,14 +310,7 @@ def report(
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
     store = existing(database)
-    _tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
-
-
-def _tell_export(written: Export, *, as_json: bool) -> None:
-    if as_json:
-        emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256})
-    else:
-        Console().print(f"Wrote {written.path}", markup=False, highlight=False)
+    tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
 
 
 class _Warnings(logging.Handler):

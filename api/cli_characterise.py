@@ -10,6 +10,7 @@ from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.characterise import Found, characterise, check_figure, content, instrument_lines, lines, write_figure
+from api.logged import Logged
 from api.settings import load_instrument
 from api.terminal import confirm, screen, wait
 from goniometer.certificate import NOMINAL_SRS99, PanelCertificate
@@ -56,7 +57,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(commands, name="characterise")
 
 
-@commands.command()
+@commands.command(cls=Logged)
 def signature(
     theta_in: IncidentAngle = 30.0,
     instrument: InstrumentFile = None,
@@ -69,7 +70,7 @@ def signature(
     _characterise(partial(measure_signature, theta_in=theta_in), instrument, database, output, seed, as_json=as_json)
 
 
-@commands.command()
+@commands.command(cls=Logged)
 def noise(
     integration_time: Annotated[float, typer.Option(min=0.001, help="Of one exposure, seconds.")] = 1.0,
     scans: Annotated[int, typer.Option(min=3, help="Exposures whose scatter is taken.")] = 20,
@@ -90,7 +91,7 @@ def noise(
     _characterise(measure, instrument, database, output, seed, as_json=as_json)
 
 
-@commands.command()
+@commands.command(cls=Logged)
 def alignment(
     instrument: InstrumentFile = None,
     database: DatabaseFile = DATABASE,
@@ -102,7 +103,7 @@ def alignment(
     _characterise(measure_alignment, instrument, database, output, seed, as_json=as_json)
 
 
-@commands.command()
+@commands.command(cls=Logged)
 def repeatability(
     theta_in: IncidentAngle = 30.0,
     returns: Annotated[int, typer.Option(min=6, max=20, help="How often each stage comes back.")] = 10,
@@ -117,7 +118,7 @@ def repeatability(
     _characterise(measure, instrument, database, output, seed, as_json=as_json)
 
 
-@commands.command()
+@commands.command(cls=Logged)
 def wavelength(
     instrument: InstrumentFile = None,
     database: DatabaseFile = DATABASE,

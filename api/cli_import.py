@@ -9,6 +9,7 @@ from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.imports import Request, imported_file
+from api.logged import Logged
 from api.quality import quality, quality_lines
 from goniometer.dataset import Dataset
 from goniometer.delimited import Quantity
@@ -17,11 +18,14 @@ from goniometer.store import Store
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="import")(import_command)
+    app.command(name="import", cls=Logged)(import_command)
 
 
 def import_command(
-    file: Annotated[Path, typer.Argument(help="JSON of points, CSV or TSV, or raw text of a goniometer.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="JSON of points, table, raw text of a goniometer, or an HDF5, CSV or Parquet of export."),
+    ],
     sample: Annotated[str | None, typer.Option(help="Name of the sample; without it that of the file.")] = None,
     relative_uncertainty: Annotated[
         float | None,
@@ -67,7 +71,7 @@ def import_command(
     """Import a BRDF that was measured elsewhere as a dataset of its own; what the file does not say, you state."""
     asked = Request(
         path=file,
-        sample=sample or file.stem,
+        sample=sample,
         relative_uncertainty=relative_uncertainty,
         relative_noise=relative_noise,
         aperture=aperture,
@@ -91,15 +95,15 @@ def import_command(
         emit(found)
         return
     out = Console()
-    for line in (_summary(made, dataset), *_notes(dataset), *quality_lines(found)[1:]):
+    for line in (_summary(file, made, dataset), *_notes(dataset), *quality_lines(found)[1:]):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def _summary(made: int, dataset: Dataset) -> str:
+def _summary(file: Path, made: int, dataset: Dataset) -> str:
     noise = np.nanmedian(dataset.u_counts / np.abs(dataset.brdf))
     total = np.nanmedian(dataset.u / np.abs(dataset.brdf))
     return (
-        f"Imported {dataset.lineage['imported']} as dataset {made}, {dataset.sample}: {dataset.theta_in.size} points "
+        f"Imported {file.name} as dataset {made}, {dataset.sample}: {dataset.theta_in.size} points "
         f"at {np.unique(dataset.theta_in).size} incident angles, {dataset.wavelengths.size} wavelengths from "
         f"{dataset.wavelengths[0]:g} to {dataset.wavelengths[-1]:g} nm; relative standard uncertainty (k = 1, median) "
         f"{100 * total:.2g} %, of which {100 * noise:.2g} % is noise."
@@ -107,6 +111,9 @@ def _summary(made: int, dataset: Dataset) -> str:
 
 
 def _notes(dataset: Dataset) -> list[Any]:
+    """What was done to the file; one that was reloaded is as it was."""
+    if "reloaded" in dataset.lineage:
+        return [f"It is the {dataset.kind} dataset with the content {dataset.content_hash[:12]}, as it was written."]
     notes = dataset.lineage["notes"]
     assert isinstance(notes, list)  # as it was written
     return notes

@@ -12,13 +12,14 @@ from analysis.photo_page import photo_page, photo_remarks
 from analysis.photo_statistics import PhotoStatistics, photo_statistics
 from api.arguments import AsJson, emit
 from api.derive import make_folder, write_text
+from api.logged import Logged
 from goniometer.budget import COVERAGE_FACTOR
 from goniometer.photos import PhotoSeries, read_series
 
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="photos")(photos)
+    app.command(name="photos", cls=Logged)(photos)
 
 
 def photos(

@@ -8,7 +8,8 @@ from rich.console import Console
 
 from analysis.wording import words
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.datasets import make_dataset, uncalibrated_scan
+from api.datasets import make_dataset, recalibrate, uncalibrated_scan
+from api.logged import Logged
 from api.quality import (
     budget_content,
     budget_lines,
@@ -20,15 +21,15 @@ from api.quality import (
     write_budget,
 )
 from goniometer.certificate import Override
+from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.errors import InputError
-from goniometer.store import Store
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(name="budget")(budget)
     app.command(name="check")(check)
-    app.command(name="calibrate")(calibrate)
+    app.command(name="calibrate", cls=Logged)(calibrate)
 
 
 def budget(
@@ -99,16 +100,16 @@ def calibrate(
         raise InputError("An override needs both --override-name and --override-reason.")
     settings = settings_of(without or [], also or [])
     store = existing(database)
+    text = None
+    if certificate is not None:
+        text = read_certificate(certificate)
+        parse_certificate(text, str(certificate))  # while its name is known
     old: int | None = None
     if (waiting := uncalibrated_scan(store, dataset)) is not None:
-        scan_id = waiting.id
+        new = make_dataset(store, waiting.id, certificate=text, settings=settings, override=override)
     else:
         old = chosen_dataset(store, dataset)
-        of_dataset = store.datasets()[old]
-        if of_dataset is None:
-            raise InputError(_no_raw_data(store, old))
-        scan_id = of_dataset
-    new = make_dataset(store, scan_id, made_from=old, certificate=certificate, settings=settings, override=override)
+        new = recalibrate(store, old, text, settings, override)
     made = store.dataset(new)
     found = quality(store, new) | {
         "recalibrated_from": old,
@@ -120,20 +121,13 @@ def calibrate(
         return
     corrections = made.lineage["corrections"]
     assert isinstance(corrections, dict)  # by name, as calibration writes them
-    origin = f"scan {scan_id}" if old is None else f"dataset {old}"
+    origin = f"scan {store.datasets()[new]}" if old is None else f"dataset {old}"
     told = ", ".join(f"{name} {state}" for name, state in corrections.items())
     first = (
         f"Made dataset {new} from the raw data of {origin}, with the certificate {made.lineage['certificate']}.",
         f"Corrections: {told}",
     )
     _show([*first, *quality_lines(found)[1:]])
-
-
-def _no_raw_data(store: Store, dataset_id: int) -> str:
-    """Why a dataset of no scan cannot be calibrated."""
-    if "simulated" in store.lineage(dataset_id):
-        return f"Dataset {dataset_id} was simulated and has no raw data; simulate it again instead."
-    return f"Dataset {dataset_id} was imported and has no raw data; import its file again instead."
 
 
 def _show(lines: list[str]) -> None:

@@ -2,13 +2,12 @@
 
 import hashlib
 from dataclasses import replace
-from pathlib import Path
 
 from goniometer.calibration import calibrate_scan
 from goniometer.certificate import Override
-from goniometer.certificate_file import parse_certificate, read_certificate
-from goniometer.dataset import Dataset
-from goniometer.errors import NotInStore
+from goniometer.certificate_file import parse_certificate
+from goniometer.dataset import Dataset, Kind, kind_of
+from goniometer.errors import InputError, NotInStore
 from goniometer.exposure import below_wanted
 from goniometer.lineage import own_datasets
 from goniometer.records import Scan
@@ -63,20 +62,20 @@ def make_dataset(
     scan_id: int,
     *,
     made_from: int | None = None,
-    certificate: Path | None = None,
+    certificate: str | None = None,
     settings: Settings = STANDARD,
     override: Override | None = None,
 ) -> int:
     """Calibrate a scan, write the result beside what there is, and return the id of the new dataset.
 
-    `made_from` is the dataset of the same raw data that is made anew. `certificate` is the CSV file of a certificate,
-    None for that of this dataset, or else of the campaign. Raises `CertificateError` where the certificate cannot be
+    `made_from` is the dataset of the same raw data that is made anew. `certificate` is the text of a certificate, None
+    for that of this dataset, or else of the campaign. Raises `CertificateError` where the certificate cannot be
     used, and `CalibrationError`.
     """
-    where = f"certificate of dataset {made_from}" if certificate is None else str(certificate)
-    text = None if made_from is None else store.dataset_certificate(made_from)
-    if certificate is not None:
-        text = read_certificate(certificate)
+    where = "the given certificate" if certificate is not None else f"certificate of dataset {made_from}"
+    text = certificate
+    if text is None and made_from is not None:
+        text = store.dataset_certificate(made_from)
     panel = None if text is None else parse_certificate(text, where)
     dataset = calibrate_scan(store, scan_id, settings, panel, override)
     lineage = dict(dataset.lineage)
@@ -91,3 +90,25 @@ def make_dataset(
 def too_noisy(store: Store, scan: Scan) -> str:
     """Which points of a scan missed the signal-to-noise ratio that its campaign wants; empty where none did."""
     return below_wanted(store.points(scan.id), store.campaign(scan.campaign_id).integration.signal_to_noise)
+
+
+_WITHOUT_RAW_DATA: dict[Kind, str] = {
+    "simulated": "was simulated and has no raw data; simulate it again instead.",
+    "measured": "came from a file, and its raw data are in another database; calibrate it there.",
+    "imported": "was imported and has no raw data; import its file again instead.",
+}
+
+
+def recalibrate(
+    store: Store, dataset_id: int, certificate: str | None, settings: Settings, override: Override | None
+) -> int:
+    """Calibrate the raw data of a dataset anew, and return the id of the new one; see `make_dataset`.
+
+    Raises `InputError` for a dataset without raw data.
+    """
+    scan_id = store.datasets()[dataset_id]
+    if scan_id is None:
+        raise InputError(f"Dataset {dataset_id} {_WITHOUT_RAW_DATA[kind_of(store.lineage(dataset_id))]}")
+    return make_dataset(
+        store, scan_id, made_from=dataset_id, certificate=certificate, settings=settings, override=override
+    )

@@ -7,16 +7,22 @@ import re
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 from analysis.analyse import analyse
+from analysis.bsdf_search import USUAL_BUDGET, Budget
 from analysis.errors import ExportError
-from analysis.export_mitsuba import BsdfReport, write_fit
+from analysis.export_mitsuba import BsdfReport, report_content, report_lines, write_fit
+from analysis.export_mitsuba import write_bsdf as write_model
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fresnel import load_conductor
+from analysis.ladder import Model
+from analysis.mitsuba_run import bsdf_element
 from analysis.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
+from analysis.vase_scene import vase_scene
 from goniometer.dataset import Dataset
 from goniometer.errors import StoreFull
 from simulators.tabulated_file import write_tabulated
@@ -25,7 +31,7 @@ REPORT = "report.html"
 """Name of the report in the folder of a sample."""
 
 RENDERED_MODEL = "cook-torrance-shift"
-"""The model that goes to the renderer."""
+"""The model that goes to the renderer when a scan ends."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,10 @@ class Export:
     """"json", "mitsuba", "report", "material", ..."""
     path: Path
     sha256: str
+    notes: tuple[str, ...] = ()
+    """What a person should know of it, whole sentences."""
+    facts: dict[str, object] = field(default_factory=dict)
+    """The same for a program, by name."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +68,8 @@ def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
     fits["analysis"] = analysis_to_json(analysis, conductor)
     make_folder(folder)
     exports = [write_text("json", folder / f"{model}.json", text) for model, text in fits.items()]
-    bsdf, export = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
-    exports.append(export)
+    bsdf, for_renderer = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
+    exports += for_renderer
     files = tuple((e.path.name, _CONTENT[e.file_format]) for e in exports)
     exports.append(write_analysis_report(folder / REPORT, analysis, replace(facts, files=files, bsdf=bsdf)))
     return Derived(fits, tuple(exports))
@@ -67,13 +77,20 @@ def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
 
 _CONTENT = {
     "json": "fitted parameters with their uncertainties, in JSON",
-    "mitsuba": "the fitted model for Mitsuba 3",
+    "mitsuba": "the fitted model for Mitsuba 3 and PBRT",
+    "scene": "a scene for Mitsuba 3 that shows it",
+    "mesh": "the shape in that scene",
 }
 
 
 def write_text(file_format: str, path: Path, text: str) -> Export:
     """Write a text."""
     return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def write_bytes(file_format: str, path: Path, content: bytes) -> Export:
+    """Write a content."""
+    return write_file(file_format, path, lambda part: part.write_bytes(content))
 
 
 def write_material(path: Path, dataset: Dataset) -> Export:
@@ -86,12 +103,31 @@ def write_analysis_report(path: Path, analysis: SampleAnalysis, facts: RunFacts)
     return write_file("report", path, lambda part: write_report(part, analysis, facts))
 
 
-def write_bsdf(path: Path, analysis: SampleAnalysis) -> tuple[BsdfReport, Export]:
-    """Write the rendered model of an analysis as a Mitsuba `.bsdf`."""
+def write_bsdf(
+    path: Path, analysis: SampleAnalysis, model: str = RENDERED_MODEL, budget: Budget = USUAL_BUDGET
+) -> tuple[BsdfReport, tuple[Export, ...]]:
+    """Write a fitted model of an analysis as a `.bsdf`, with a scene for Mitsuba that shows it beside."""
+    fit, dataset, metal = analysis.model(model), analysis.dataset, analysis.conductor
+    return _with_scene(path, lambda part: write_fit(part, fit, dataset, metal, budget))
+
+
+def write_rung(path: Path, model: Model, about: str) -> tuple[BsdfReport, tuple[Export, ...]]:
+    """Write a model of the ladder as `write_bsdf` does; `about` opens its description."""
+    return _with_scene(path, lambda part: write_model(part, model, about=about))
+
+
+def _with_scene(path: Path, write: Callable[[Path], BsdfReport]) -> tuple[BsdfReport, tuple[Export, ...]]:
     reports: list[BsdfReport] = []
-    fit, dataset, metal = analysis.model(RENDERED_MODEL), analysis.dataset, analysis.conductor
-    export = write_file("mitsuba", path, lambda part: reports.append(write_fit(part, fit, dataset, metal)))
-    return replace(reports[0], path=path), export
+    export = write_file("mitsuba", path, lambda part: reports.append(write(part)))
+    report = replace(reports[0], path=path)
+    scene = vase_scene(bsdf_element("measured", f'<string name="filename" value={quoteattr(path.name)}/>'))
+    beside = [write_text("scene", path.with_name(f"{path.name.removesuffix('.bsdf')}.scene.xml"), scene.xml)]
+    for name, content in scene.files.items():
+        beside.append(write_bytes("mesh", path.with_name(name), content))
+    shown = f"a scene that shows it: {beside[0].path.name}, with {', '.join(scene.files)}"
+    notes = (*report_lines(report), shown)
+    facts = report_content(report) | {"scene": str(beside[0].path)}
+    return report, (replace(export, notes=notes, facts=facts), *beside)
 
 
 def slug(sample: str) -> str:

@@ -1,20 +1,22 @@
 """Import of data that somebody else measured: which reader a file needs, and what must be said with it."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
+from goniometer.bird_json import parsed_json, read_bird_json
 from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.dataset import Dataset
+from goniometer.dataset_file import reloaded
 from goniometer.delimited import Meaning, Quantity, read_delimited
 from goniometer.errors import InputError
 from goniometer.imported import Stated, imported_dataset
-from goniometer.measured_table import MeasuredTable, read_text, tidied
+from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
 from goniometer.published_json import read_published_json
 from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
 
-FileFormat = Literal["published JSON", "raw text", "table"]
+FileFormat = Literal["published JSON", "BiRD JSON", "raw text", "table"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Request:
     """What a person says of a file; None is what was not said."""
 
     path: Path
-    sample: str
+    sample: str | None = None
+    """None for the name of the file."""
     relative_uncertainty: float | None = None
     relative_noise: float | None = None
     aperture: float | None = None
@@ -46,10 +49,16 @@ _OF_RAW = ("reference", "certificate", "darks", "dark_subtracted", "saturation")
 def imported_file(asked: Request) -> Dataset:
     """The dataset that a file becomes; it belongs into a database as one of no scan.
 
+    A file that this program wrote becomes the dataset that it was written from.
     Raises `InputError`, of which `DataFileError` and `CertificateError` are two, with one sentence: what cannot be
     meant, or which options are missing.
     """
-    text, content = read_text(asked.path)
+    content = read_content(asked.path)
+    own = reloaded(asked.path, content)
+    if own is not None:
+        _check_nothing_said(asked)
+        return own
+    text = as_text(str(asked.path), content)
     kind = file_format(text)
     _check_options(asked, kind)
     lineage: dict[str, object] = {
@@ -69,14 +78,24 @@ def imported_file(asked: Request) -> Dataset:
     assert asked.angle_uncertainty is not None
     stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
     lineage |= more | {"notes": [*notes, *tidying]}
-    return imported_dataset(asked.sample, table, stated, lineage)
+    return imported_dataset(asked.sample or asked.path.stem, table, stated, lineage)
 
 
 def file_format(text: str) -> FileFormat:
     """Which reader a text is for, by how it begins."""
-    if text.lstrip()[:1] in {"[", "{"}:
-        return "published JSON"
+    begin = text.lstrip()[:1]
+    if begin in {"[", "{"}:
+        return "published JSON" if begin == "[" else "BiRD JSON"
     return "raw text" if looks_like_raw_text(text) else "table"
+
+
+def _check_nothing_said(asked: Request) -> None:
+    """Raise `InputError` for anything that was said of a file that says everything itself."""
+    said = [each.name for each in fields(asked) if each.name != "path" and getattr(asked, each.name) != each.default]
+    if said:
+        raise InputError(
+            f"{asked.path}: was written by this program and says everything itself; leave out {_options(said)}."
+        )
 
 
 def _check_options(asked: Request, kind: FileFormat) -> None:
@@ -103,8 +122,18 @@ def _check_options(asked: Request, kind: FileFormat) -> None:
         )
 
 
-_AS = {"published JSON": "JSON of points", "raw text": "raw text of a goniometer", "table": "a table"}
-_USED: dict[FileFormat, tuple[str, ...]] = {"published JSON": (), "raw text": _OF_RAW, "table": _OF_TABLE}
+_AS = {
+    "published JSON": "JSON of points",
+    "BiRD JSON": "universal BRDF JSON",
+    "raw text": "raw text of a goniometer",
+    "table": "a table",
+}
+_USED: dict[FileFormat, tuple[str, ...]] = {
+    "published JSON": (),
+    "BiRD JSON": (),
+    "raw text": _OF_RAW,
+    "table": _OF_TABLE,
+}
 
 
 def _options(names: list[str]) -> str:
@@ -117,6 +146,8 @@ def _read(asked: Request, kind: FileFormat, text: str) -> tuple[MeasuredTable, l
     if kind == "published JSON":
         table, notes = read_published_json(path, text)
         return table, notes, {}
+    if kind == "BiRD JSON":
+        return read_bird_json(path, parsed_json(path, text))
     if kind == "table":
         assert asked.quantity is not None  # as is what follows, checked with the options
         assert asked.angles is not None

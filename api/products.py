@@ -3,9 +3,11 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
+from analysis.brdf_fit import BRDF_MODELS
+from analysis.bsdf_search import Budget
 from analysis.distributions import Distribution
 from analysis.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
 from analysis.fits import MODELS
@@ -14,14 +16,14 @@ from analysis.least_squares import Engine
 from analysis.loew import Weight, weight_of
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
-from api.derive import Export, slug, write_analysis_report, write_bsdf, write_text
+from analysis.results import SampleAnalysis
+from api.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
 from api.outcome import STATED
 from api.service import run_facts
 from goniometer.dataset import Dataset
+from goniometer.dataset_file import last_file
 from goniometer.errors import InputError
 from goniometer.store import Store
-
-Format = Literal["json", "mitsuba"]
 
 
 @dataclass(frozen=True)
@@ -129,50 +131,65 @@ def _known(difference: float | None) -> str:
     return "not known" if difference is None else f"{difference:.2f}"
 
 
-def export_dataset(store: Store, dataset_id: int, file_format: Format, path: Path | None) -> Export:
-    """Write a dataset's fits as JSON, or its fitted model for Mitsuba, to `path` or the present folder.
+def write_fits(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write a dataset's fits as JSON: those of a scan's end, and of every other model that it was ever fitted with.
 
-    Both are of the metal, distribution, weight and engine with which it was last fitted; for Mitsuba the distribution
-    is GGX.
+    All are of the metal, distribution, weight and engine of the last fit.
     """
-    dataset = store.dataset(dataset_id)
-    target = path or _usual_path(dataset, "json" if file_format == "json" else "bsdf")
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
+    return write_text("json", path, analysis_to_json(analysis, analysis.conductor))
+
+
+def write_mitsuba(store: Store, dataset_id: int, path: Path, model: str | None, budget: Budget) -> Export:
+    """Write a fitted model of a dataset for Mitsuba, fitted as in `write_fits`.
+
+    Without `model` it is the one that was fitted last of those that can be rendered. Raises `InputError` for a model
+    that cannot.
+    """
+    if model is not None and model not in BRDF_MODELS:
+        raise InputError(f'"{model}" is no model that can be rendered; there are {", ".join(BRDF_MODELS)}.')
+    fitted = [fit.kind for fit in store.fits(dataset_id) if fit.kind in BRDF_MODELS]
+    wanted = model or (fitted or [RENDERED_MODEL])[-1]
+    _, exports = write_bsdf(path, _analysed(store, dataset_id, (wanted,)), wanted, budget)
+    written = exports[0]
+    return replace(written, notes=(f"model {wanted}", *written.notes), facts={"model": wanted} | written.facts)
+
+
+def _models_of(store: Store, dataset_id: int) -> tuple[str, ...]:
+    """The models of a scan's end and every other one that a dataset was ever fitted with."""
+    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
+    return tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
+
+
+def _analysed(store: Store, dataset_id: int, models: tuple[str, ...]) -> SampleAnalysis:
     how = last_way(store, dataset_id)
-    if file_format == "mitsuba":
-        how = replace(how, distribution="ggx")
     conductor = load_conductor(*conductor_name(how.conductor))
-    analysis = analyse(dataset, conductor, AT_THE_END_OF_A_SCAN, how.engine, how.distribution, how.weight)
-    if file_format == "json":
-        export = write_text("json", target, analysis_to_json(analysis, conductor))
-    else:
-        _, export = write_bsdf(target, analysis)
-    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
-    return export
+    return analyse(store.dataset(dataset_id), conductor, models, how.engine, how.distribution, how.weight)
 
 
-def _usual_path(dataset: Dataset, ending: str) -> Path:
+def usual_path(dataset: Dataset, ending: str) -> Path:
     """A file in the present folder; raises `InputError` rather than write over what a sample was imported from."""
     path = Path(f"{slug(dataset.sample)}.{ending}")
-    if path.exists() and path.name.lower() == str(dataset.lineage.get("imported", "")).lower():
+    read_from = {str(dataset.lineage.get("imported", "")).lower(), last_file(dataset.lineage).lower()}
+    if path.exists() and path.name.lower() in read_from:
         raise InputError(f"{path} has the name of the file that was imported; name another one with --output.")
     return path
 
 
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
-    """Write the HTML report of a dataset to `path` or the present folder.
+    """Write the HTML report of a dataset to `path` or the present folder, and note that in the database."""
+    export = write_dataset_report(store, dataset_id, path or usual_path(store.dataset(dataset_id), "html"))
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export
+
+
+def write_dataset_report(store: Store, dataset_id: int, path: Path) -> Export:
+    """Write the HTML report of a dataset.
 
     It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
     metal, distribution, weight and engine of the last fit.
     """
-    dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
-    target = path or _usual_path(dataset, "html")
-    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
-    models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
-    how = last_way(store, dataset_id)
-    conductor = load_conductor(*conductor_name(how.conductor))
-    analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
-    export = write_analysis_report(target, analysis, facts)
-    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
-    return export
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
+    return write_analysis_report(path, analysis, facts)

@@ -47,7 +47,11 @@ def quality(store: Store, dataset_id: int) -> dict[str, Any]:
 
     Raises `NotInStore`.
     """
-    dataset = store.dataset(dataset_id)
+    return quality_of(store, dataset_id, store.dataset(dataset_id))
+
+
+def quality_of(store: Store, dataset_id: int, dataset: Dataset) -> dict[str, Any]:
+    """The same of a dataset that was read already."""
     scan_id = store.datasets()[dataset_id]
     return {
         "dataset": dataset_id,

@@ -31,7 +31,15 @@ from goniometer.certificate import NOMINAL_SRS99, Override
 from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
-from goniometer.errors import BenchUnfit, CalibrationError, CampaignError, CertificateError, NotInStore, StoreFull
+from goniometer.errors import (
+    BenchUnfit,
+    CalibrationError,
+    CampaignError,
+    CertificateError,
+    GoniometerError,
+    NotInStore,
+    StoreFull,
+)
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset, own_datasets
@@ -201,22 +209,30 @@ async def open_bench(
     async with open_instrument(settings, seed, families, imperfections) as (instrument, laboratory):
         if lamp_is_warm:
             instrument.trust_lamp()
-        lying: tuple[str, str] | None = None  # None where nobody knows
+        yield instrument, mounting(ask, laboratory, asks=laboratory is None)
 
-        async def mount(scan: Scan) -> None:
-            nonlocal lying
-            wanted = scan.kind, scan.sample
-            if wanted != lying:
-                lying = None
-                if laboratory is None:
-                    await ask(scan)
-                else:
-                    laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
-                lying = wanted
+
+def mounting(ask: Mount, laboratory: Laboratory | None, *, asks: bool = True) -> Mount:
+    """How the sample of a scan gets onto an open bench, unless it lies there already.
+
+    A person is asked if `asks`; in a laboratory it is laid there.
+    """
+    lying: tuple[str, str] | None = None  # None where nobody knows
+
+    async def mount(scan: Scan) -> None:
+        nonlocal lying
+        wanted = scan.kind, scan.sample
+        if wanted != lying:
+            lying = None
+            if asks:
+                await ask(scan)
             if laboratory is not None:
-                laboratory.bench.begin(scan.repeat or 1)
+                laboratory.mount(scan.material, spot=int(scan.kind == "spot"))
+            lying = wanted
+        if laboratory is not None:
+            laboratory.bench.begin(scan.repeat or 1)
 
-        yield instrument, mount
+    return mount
 
 
 async def diagnose(
@@ -257,14 +273,44 @@ async def run(
     own while the next sample is measured; a sample that cannot be calibrated or fitted does not stop the others.
     Raises `StoreBusy` and what `run_campaign` raises.
     """
+    with store.exclusive():
+        return await run_alone(store, campaign, output, settings, watch, bench=bench, lamp_is_warm=lamp_is_warm)
+
+
+@contextmanager
+def _fitting_process() -> Iterator[Executor]:
+    """A process for fits. What it has not finished when something goes wrong is lost, and made in the next run."""
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
+    try:
+        yield executor
+    except BaseException:
+        # nobody would take the result, and a bench that was stopped must not wait for it
+        for process in list((executor._processes or {}).values()):
+            process.kill()
+        raise
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+async def run_alone(
+    store: Store,
+    campaign: Campaign,
+    output: Path,
+    settings: InstrumentSettings | None = None,
+    watch: Watch = QUIET,
+    *,
+    bench: OpenBench | None = None,
+    lamp_is_warm: bool = False,
+) -> RunResult:
+    """As `run`, for who holds `store.exclusive()`."""
     certificate = panel_certificate(campaign, settings)
     _check_certificate(store, campaign, certificate)
     _check_folders(store, campaign)
     _check_reach(campaign, settings)
     if settings is None:
-        campaign = _with_materials(campaign)
-    context = multiprocessing.get_context("spawn")
-    with store.exclusive(), ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as executor:
+        campaign = with_materials(campaign)
+    with _fitting_process() as executor:
         waiting: dict[int, Future[Derived]] = {}
         failures: list[str] = []
 
@@ -310,7 +356,7 @@ async def run(
     return RunResult(campaign_id, tuple(failures))
 
 
-def _with_materials(campaign: Campaign) -> Campaign:
+def with_materials(campaign: Campaign) -> Campaign:
     """The campaign with what is in every file that is a material of the simulated bench.
 
     Raises `InputError` for a material that there is not, and for directions of which a table knows nothing.
@@ -325,6 +371,24 @@ def _with_materials(campaign: Campaign) -> Campaign:
         return sample.model_copy(update={"material": str(file._replace(content=content))})
 
     return campaign.model_copy(update={"samples": tuple(map(known, campaign.samples))})
+
+
+def preflight(store: Store, campaign: Campaign, settings: InstrumentSettings | None) -> list[str]:
+    """Why `run` would refuse `campaign` before a device is opened, as sentences; none where it would not."""
+    checks: list[Callable[[], object]] = [
+        lambda: _check_certificate(store, campaign, panel_certificate(campaign, settings)),
+        lambda: _check_folders(store, campaign),
+        lambda: _check_reach(campaign, settings),
+    ]
+    if settings is None:
+        checks.append(lambda: with_materials(campaign))
+    found = []
+    for check in checks:
+        try:
+            check()
+        except GoniometerError as error:
+            found.append(str(error))
+    return found
 
 
 def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -> str | None:

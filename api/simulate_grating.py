@@ -14,6 +14,7 @@ from rich.table import Table
 from analysis.grating_figures import binned_spectra_figure, orders_over_spacing, slopes_over_angle
 from analysis.page import figure
 from api.arguments import AsJson, emit
+from api.logged import Logged
 from api.simulations import Page, store_computed, write_page
 from drivers.arrays import FloatArray
 from simulators.computed import Computed
@@ -63,7 +64,7 @@ class Binned:
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="grating")(grating_command)
+    app.command(name="grating", cls=Logged)(grating_command)
 
 
 def grating_command(

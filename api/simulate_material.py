@@ -8,6 +8,7 @@ from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.derive import slug, write_material
+from api.logged import Logged
 from goniometer.errors import InputError
 from goniometer.material_file import MaterialFile
 from simulators.tabulated import Tabulated
@@ -16,7 +17,7 @@ from simulators.tabulated_file import read_tabulated
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="material")(material_command)
+    app.command(name="material", cls=Logged)(material_command)
 
 
 def material_command(

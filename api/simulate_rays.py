@@ -14,6 +14,7 @@ from rich.progress import Progress
 
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
+from api.logged import Logged
 from api.products import conductor_name
 from api.ray_page import chapters, chosen
 from api.ray_results import computed, decomposition, lines, warnings
@@ -42,7 +43,7 @@ _CHECKED = 3
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="rays")(rays_command)
+    app.command(name="rays", cls=Logged)(rays_command)
 
 
 def rays_command(

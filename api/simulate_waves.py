@@ -17,6 +17,7 @@ from analysis.fresnel import load_conductor
 from analysis.local_fit import LEAST_WAVELENGTHS
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.derive import end_with_parent
+from api.logged import Logged
 from api.products import conductor_name
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
@@ -48,7 +49,7 @@ Step = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command of this module."""
-    app.command(name="waves")(waves_command)
+    app.command(name="waves", cls=Logged)(waves_command)
 
 
 def waves_command(

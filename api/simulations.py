@@ -1,13 +1,12 @@
 """What the simulations of the command line have in common: which surface, and where results go."""
 
-from html import escape
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from analysis.page import page
+from analysis.page import titled_page
 from api.derive import Export, make_folder, write_text
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
@@ -63,4 +62,4 @@ def store_computed(database: Path, computed: Computed) -> int:
 def write_page(path: Path, title: str, body: list[str]) -> Export:
     """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
     make_folder(path.resolve().parent)
-    return write_text("page", path, page(title, [f"<h1>{escape(title)}</h1>", *body]))
+    return write_text("page", path, titled_page(title, body))

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from rich.console import Console
 
+from api.mount_request import mount_request
 from goniometer.errors import RunAborted
 from goniometer.records import Scan
 
@@ -20,13 +21,10 @@ screen = Console(stderr=True)
 
 async def ask_to_mount(scan: Scan) -> None:
     """Ask a person to mount a sample; returns when Enter is pressed, raises `RunAborted` without a terminal."""
+    request, check = mount_request(scan)
     what = "the reference panel (Spectralon)" if scan.kind == "reference" else scan.sample
-    flat = "check that it lies flat against the holder, and press Enter."
-    if scan.kind == "spot":
-        turn = f"Turn {what} by 90° about its normal, or move it so that the light falls on another place"
-        await confirm(f"{what} is turned", f"{turn}, {flat}")
-    else:
-        await confirm(f"{what} is mounted", f"Mount {what}, {flat}")
+    state = "turned" if scan.kind == "spot" else "mounted"
+    await confirm(f"{what} is {state}", f"{request}, {check}, and press Enter.")
 
 
 async def confirm(state: str, request: str) -> None:

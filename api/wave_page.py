@@ -9,6 +9,7 @@ from analysis.colour import has_colour
 from analysis.notation import with_uncertainty
 from analysis.page import bullets, figure
 from analysis.results import SampleAnalysis
+from analysis.shown_colours import exposure_of
 from simulators.wave_convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
 from simulators.wave_scan import Setup
 from simulators.wave_simulation import MultiplePart, WaveSimulation, equivalent_aperture
@@ -90,7 +91,7 @@ def _colours(analysis: SampleAnalysis) -> str:
     dataset = analysis.dataset
     parts = ["<h2>Colour and brightness</h2>"]
     if has_colour(dataset.wavelengths):
-        exposure = figures.exposure_of(dataset)
+        exposure = exposure_of(dataset)
         maps = [
             figures.colour_map(dataset, dataset.brdf, exposure, "waves", "As bright as simulated", measured=True),
             figures.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),

@@ -8,7 +8,7 @@ three neighbours (Lagrange's parabola), smoothed over wavelength, over which ln 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from drivers.arrays import FloatArray
 from goniometer.uncertainty import Groups
@@ -66,7 +66,7 @@ def along_theta_out(theta_out: FloatArray, groups: Groups, brdf: FloatArray, flo
         first[members] = np.concatenate([ends[0], inner, ends[1]])[which]
         second[members] = 2 * np.concatenate([bend[:1], bend, bend[-1:]])[which]
     size = min(SMOOTHED_WAVELENGTHS, log.shape[1])
-    first, second = (uniform_filter1d(d, size, axis=1, mode="nearest") for d in (first, second))
+    first, second = (scipy.ndimage.uniform_filter1d(d, size, axis=1, mode="nearest") for d in (first, second))
     value = np.exp(log)
     return Derivatives(value * first, value * (second + first**2))
 

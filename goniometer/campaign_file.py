@@ -1,5 +1,6 @@
 """A campaign file (YAML or JSON) becomes a `Campaign`, or one line that says what is wrong where."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -26,6 +27,16 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+class _ForeignLoader(_StrictLoader):
+    """YAML without aliases, by which a few lines can stand for more than a computer can hold."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]  # of the library
+            raise yaml.MarkedYAMLError(None, None, "an alias is not read here; write out what it stands for", mark)
+        return super().compose_node(parent, index)
+
+
 def load_campaign(path: Path | str) -> Campaign:
     """Read and check a campaign file; relative paths start at its own folder.
 
@@ -35,52 +46,82 @@ def load_campaign(path: Path | str) -> Campaign:
     """
     path = Path(path)
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)  # a SafeLoader, and JSON is YAML
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CampaignError(f"{path}: the campaign file cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise CampaignError(f"{path}: the campaign file is not UTF-8 text") from None
+    return _campaign(_content(text, str(path), _StrictLoader), str(path), lambda name: path.parent / name)
+
+
+def read_campaign(sent: str | dict[str, Any], folder: Path) -> Campaign:
+    """Check a campaign that somebody has sent, as YAML, JSON or what JSON holds; files that it names lie in `folder`.
+
+    Raises `CampaignError` as `load_campaign` does, and where it names a file that lies elsewhere.
+    """
+
+    def inside(name: str) -> Path:
+        try:
+            path = (folder / name).resolve()
+        except (ValueError, OSError):  # characters that no name of a file has
+            path = folder / ".."
+        if not path.is_relative_to(folder.resolve()) or ".." in path.parts:
+            raise CampaignError(f"campaign: {name!r} lies outside the folder of the service's files; put it in there")
+        return path
+
+    content = _content(sent, "campaign", _ForeignLoader) if isinstance(sent, str) else sent
+    return _campaign(content, "campaign", inside)
+
+
+def _content(text: str, where: str, loader: type[_StrictLoader]) -> object:
+    """What the text of a campaign file holds; `where` names it in messages."""
+    try:
+        return yaml.load(text, loader)  # a SafeLoader, and JSON is YAML
     except yaml.YAMLError as error:
-        _refuse_yaml(path, error)
+        _refuse_yaml(where, error)
     except RecursionError:
-        raise CampaignError(f"{path}: the campaign file is nested too deeply; a campaign needs four levels") from None
+        raise CampaignError(f"{where}: the campaign file is nested too deeply; a campaign needs four levels") from None
     except (ValueError, LookupError, AttributeError) as error:  # what the loader lets through of an impossible value
         raise CampaignError(
-            f"{path}: the campaign file holds a value that is not possible ({error}); write a text in quotes"
+            f"{where}: the campaign file holds a value that is not possible ({error}); write a text in quotes"
         ) from None
+
+
+def _campaign(content: object, where: str, locate: Callable[[str], Path]) -> Campaign:
+    """The campaign of what a file holds; `locate` finds the files that it names."""
     if not isinstance(content, dict):
-        raise CampaignError(f"{path}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
+        raise CampaignError(f"{where}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
     resolution = content.get("resolution")
     if isinstance(resolution, dict) and isinstance(resolution.get("scene"), str):
         # what a campaign asks for must not change with a file while it runs
-        weights = read_weights(path.parent / resolution["scene"])
-        content["resolution"] = resolution | {"scene": weights.model_dump()}
+        weights = read_weights(locate(resolution["scene"]))
+        content = content | {"resolution": resolution | {"scene": weights.model_dump()}}
     try:
         campaign = Campaign.model_validate(content)
     except ValidationError as error:
-        raise CampaignError(f"{path}: {describe(error, Campaign)}") from None
+        raise CampaignError(f"{where}: {describe(error, Campaign)}") from None
     except UnicodeEncodeError as error:  # half of a pair that stands for one character, which JSON can spell
         raise CampaignError(
-            f"{path}: a text of the campaign holds {error.object[error.start]!a}, which is no character; leave it out"
+            f"{where}: a text of the campaign holds {error.object[error.start]!a}, which is no character; leave it out"
         ) from None
-    samples = tuple(_located(sample, path.parent) for sample in campaign.samples)
+    samples = tuple(_located(sample, locate) for sample in campaign.samples)
     campaign = campaign.model_copy(update={"samples": samples})
     certificate = campaign.reference.certificate
     if certificate is None:
         return campaign
-    located = str(path.parent / certificate)
+    located = str(locate(certificate))
     return campaign.model_copy(update={"reference": campaign.reference.model_copy(update={"certificate": located})})
 
 
-def _located(sample: Sample, folder: Path) -> Sample:
+def _located(sample: Sample, locate: Callable[[str], Path]) -> Sample:
     """A sample whose material, where it is a file, is found from any folder."""
     file = material_file(sample.material)
     if file is None:
         return sample
-    return sample.model_copy(update={"material": str(file._replace(path=(folder / file.path).absolute()))})
+    return sample.model_copy(update={"material": str(file._replace(path=locate(str(file.path)).absolute()))})
 
 
-def _refuse_yaml(path: Path, error: yaml.YAMLError) -> NoReturn:
+def _refuse_yaml(path: str, error: yaml.YAMLError) -> NoReturn:
     """Raise the one-line form of a YAML error."""
     where = ""
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:

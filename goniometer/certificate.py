@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+import scipy
 
 from drivers.arrays import FloatArray
 from goniometer.errors import CertificateError
@@ -126,8 +126,10 @@ class BrdfTable:
         turned = np.where(theta_in < 0, -theta_out, theta_out)
         incident = self._within("theta_in", self.theta_in, np.abs(theta_in))
         reflected = self._within("theta_out", self.theta_out, turned)
-        rows = RegularGridInterpolator((self.wavelengths,), np.moveaxis(values, 2, 0))(wavelengths[:, None])
-        table = RegularGridInterpolator((self.theta_in, self.theta_out), np.moveaxis(rows, 0, 2))
+        rows = scipy.interpolate.RegularGridInterpolator((self.wavelengths,), np.moveaxis(values, 2, 0))(
+            wavelengths[:, None]
+        )
+        table = scipy.interpolate.RegularGridInterpolator((self.theta_in, self.theta_out), np.moveaxis(rows, 0, 2))
         return np.asarray(table(np.stack([incident, reflected], axis=1)))
 
     def _within(self, name: str, grid: FloatArray, angles: FloatArray) -> FloatArray:

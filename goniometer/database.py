@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Engine, Row, Select, Table, create_engine, ev
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 
+import goniometer.service_tables  # noqa: F401  (its tables are made with all others)
 from goniometer import tables
 from goniometer.errors import NotInStore, StoreBusy, StoreError, StoreFull
 
@@ -100,28 +101,45 @@ class Database:
             raise StoreError(f"{self._where} cannot be used: {error.strerror or error}") from error
 
     @contextmanager
-    def _writing(self) -> Iterator[Connection]:
+    def writing(self) -> Iterator[Connection]:
         """A transaction that is on the disk when the block ends, or has not happened."""
         with self._faults(), self._engine.begin() as connection:
             yield connection
 
     @contextmanager
-    def _reading(self) -> Iterator[Connection]:
+    def alone(self) -> Iterator[Connection]:
+        """Like `writing`, and nobody else writes between what is read in the block and its end; others wait."""
+        # Python's driver would begin with the first change, after what was read; so it is told to keep out of it.
+        with self._faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            sqlite = connection.dialect.name == "sqlite"
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if sqlite else "BEGIN ISOLATION LEVEL SERIALIZABLE")
+            try:
+                yield connection
+            except BaseException:
+                connection.exec_driver_sql("ROLLBACK")
+                raise
+            connection.exec_driver_sql("COMMIT")
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """A connection to read from."""
         with self._faults(), self._engine.connect() as connection:
             yield connection
 
-    def _all(self, query: Select[Any]) -> Sequence[Row[Any]]:
-        with self._reading() as connection:
-            return connection.execute(query).all()
+    def rows(self, query: Select[Any], values: Mapping[str, object] | None = None) -> Sequence[Row[Any]]:
+        """What a query finds, with `values` for its parameters."""
+        with self.reading() as connection:
+            return connection.execute(query, values).all()
 
-    def _one(self, query: Select[Any], what: str) -> Row[Any]:
-        rows = self._all(query)
+    def row(self, query: Select[Any], what: str) -> Row[Any]:
+        """The first that a query finds; raises `NotInStore`, in which `what` was looked for."""
+        rows = self.rows(query)
         if not rows:
             raise NotInStore(f"There is no {what} in {self._where}; list what there is with the status command")
         return rows[0]
 
     def _update(self, table: Table, row_id: int, **values: object) -> None:
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(update(table).where(table.c.id == row_id).values(**values))
 
 

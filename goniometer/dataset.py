@@ -5,6 +5,7 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,16 @@ IN_FITS = {
     Flag.NEGATIVE: "kept",
 } | dict.fromkeys(LEFT_OUT, "left out of all fits")
 """What the fits do with points of every flag, in words."""
+
+
+Kind = Literal["measured", "simulated", "imported"]
+
+
+def kind_of(lineage: dict[str, object]) -> Kind:
+    """Who made the dataset of this lineage: this program's bench, a simulation, or another program."""
+    if "simulated" in lineage:
+        return "simulated"
+    return "imported" if "imported" in lineage else "measured"
 
 
 @dataclass(frozen=True)
@@ -92,7 +103,12 @@ class Dataset:
     @property
     def simulated(self) -> bool:
         """Whether a simulation made it, in which no detector stands in the way of the source."""
-        return "simulated" in self.lineage
+        return kind_of(self.lineage) == "simulated"
+
+    @property
+    def kind(self) -> Kind:
+        """Who made it: this program's bench, a simulation, or another program."""
+        return kind_of(self.lineage)
 
     @cached_property
     def u(self) -> FloatArray:
@@ -142,8 +158,12 @@ class Dataset:
         def add(name: str, value: object) -> None:
             if isinstance(value, np.ndarray):
                 digest.update(f"{name} {value.shape}\n".encode())
-                digest.update(np.ascontiguousarray(value, dtype="<f8").tobytes())
+                numbers = np.asarray(value, dtype="<f8")
+                # of the many bit patterns of "no number" a text keeps none
+                digest.update(np.where(np.isnan(numbers), np.nan, numbers).astype("<f8").tobytes())
             else:
+                if isinstance(value, int | float) and not isinstance(value, bool):
+                    value = float(value)
                 digest.update(f"{name} {value!r}\n".encode())
 
         for each in dataclasses.fields(self):

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from goniometer.errors import DataFileError
-from goniometer.measured_table import MeasuredTable
+from goniometer.measured_table import MeasuredTable, gridded
 
 Quantity = Literal["brdf", "brdf-cos-in", "brdf-cos-out", "radiance-factor"]
 """BRDF in 1/sr; BRDF times the cosine of the incident or of the reflected angle, 1/sr; or pi times the BRDF."""
@@ -24,9 +24,6 @@ _ANGLES = ("theta_in", "theta_out")
 _LONG = (*_ANGLES, "wavelength", "brdf")
 _UNCERTAINTY = "standard_uncertainty"
 _NO_VALUE = {"", "nan", "na", "n/a", "null", "-"}
-
-LEAST_FILLED = 0.5
-"""Part of all combinations of direction and wavelength that a long table must have."""
 
 
 @dataclass(frozen=True)
@@ -141,28 +138,19 @@ def _long(
             f"columns {', '.join(_LONG)} and perhaps {_UNCERTAINTY}."
         )
     column = {name: rows[:, i] for i, name in enumerate(names)}
-    directions, first, of_direction = np.unique(np.stack(angles), axis=1, return_index=True, return_inverse=True)
-    wavelengths, of_wavelength = np.unique(column["wavelength"], return_inverse=True)
-    shape = directions.shape[1], wavelengths.size
-    if len(where) < LEAST_FILLED * shape[0] * shape[1]:
-        raise DataFileError(
-            f"{path}: {len(where)} rows are less than half of {shape[0]} directions times {shape[1]} wavelengths; "
-            f"bring all spectra to the same wavelengths first."
-        )
-    cell = of_direction.ravel() * shape[1] + of_wavelength.ravel()
-    order = np.argsort(cell, kind="stable")
-    twice = np.flatnonzero(np.diff(cell[order]) == 0)
+    grid = gridded(path, np.stack(angles), column["wavelength"])
+    order = np.argsort(grid.cell, kind="stable")
+    twice = np.flatnonzero(np.diff(grid.cell[order]) == 0)
     if twice.size:
         one, other = where[order[twice[0]]], where[order[twice[0] + 1]]
         raise DataFileError(
             f"{path}, line {other}: the same angles and wavelength stand in line {one} already; keep one of the two."
         )
 
-    def grid(name: str) -> FloatArray:
-        values = np.full(shape, np.nan)
-        values.ravel()[cell] = column[name]
-        return meaning.as_brdf(values, *directions)
-
-    u = grid(_UNCERTAINTY) if _UNCERTAINTY in names else None
-    places = tuple(f"line {where[i]}" for i in first)
-    return MeasuredTable(directions[0], directions[1], scale * wavelengths, grid("brdf"), u, places)
+    brdf, u = (
+        meaning.as_brdf(grid.fill(column[name]), *grid.keys) if name in names else None
+        for name in ("brdf", _UNCERTAINTY)
+    )
+    assert brdf is not None  # checked with the names
+    places = tuple(f"line {where[i]}" for i in grid.first)
+    return MeasuredTable(grid.keys[0], grid.keys[1], scale * grid.wavelengths, brdf, u, places)

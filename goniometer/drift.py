@@ -103,6 +103,32 @@ def lamp_drift(raw: RawScan) -> LampDrift | None:
     )
 
 
+@dataclass(frozen=True)
+class LampSeries:
+    """What every monitor of one scan tells; all arrays [monitors]."""
+
+    moments: FloatArray
+    """Seconds since the first one; those of two sessions cannot be compared."""
+    sessions: tuple[str, ...]
+    level: FloatArray
+    """Relative change of the lamp at 600 nm since the first one."""
+    tilt: FloatArray
+    """The same of the tilt."""
+
+
+def lamp_series(raw: RawScan) -> LampSeries | None:
+    """What the monitors of a scan tell one by one; None where there are fewer than two.
+
+    Raises `CalibrationError` where they are saturated.
+    """
+    if len(raw.monitors) < 2:
+        return None
+    moments = np.array([m.moment for m in raw.monitors])
+    levels, _ = _levels(raw)
+    sessions = tuple(m.session for m in raw.monitors)
+    return LampSeries(moments - moments[0], sessions, levels[:, 0], levels[:, 1])
+
+
 def lamp_between(scans: list[RawScan]) -> LampBetween | None:
     """Change of the lamp from the first monitor of the first of successive `scans` to the first of the last one.
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.angular import incidence_groups
@@ -171,7 +171,7 @@ def _reflectance(
     rho = []
     for power, weights in zip((0.0, 0.5, 1.0), slice_.weights.T, strict=True):
         logarithm = np.log(f * cosines**power)
-        smooth = weights @ np.exp(PchipInterpolator(theta_out, logarithm)(at))
+        smooth = weights @ np.exp(scipy.interpolate.PchipInterpolator(theta_out, logarithm)(at))
         straight = np.exp((1 - part) * logarithm[right - 1] + part * logarithm[right])
         rho.append(smooth)
         if power == 0.5:

@@ -11,14 +11,15 @@ import uuid
 
 import numpy as np
 
+from drivers.arrays import FloatArray
 from drivers.clock import Clock
 from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
-from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase
+from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
 from drivers.travel import travel_time
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry, check, from_stages
-from goniometer.moves import ARRIVAL, both, faults_of, followed, home, not_ready, ready, settle
+from goniometer.moves import ARRIVAL, Move, both, bring, faults_of, followed, home, not_ready, ready
 from goniometer.route import Motion, StageMotion, approach
 from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, grown, raised, safe_path
 from goniometer.track import SWEEP_MARGIN, Passage, passages
@@ -98,6 +99,7 @@ class Instrument:
         # None until the first spectrum; they stay when devices are reopened, as the scan goes on
         self._pixels: int | None = None
         self._temperature: float | None = None
+        self._last_spectrum: Spectrum | None = None
 
     @property
     def limits(self) -> Limits:
@@ -138,6 +140,16 @@ class Instrument:
         """
         return self.clock.now() - self._lamp_since
 
+    @property
+    def shutter_open(self) -> bool | None:
+        """Whether the shutter is open; None where it is not known."""
+        return self._shutter_open
+
+    @property
+    def last_spectrum(self) -> Spectrum | None:
+        """The last spectrum that could be believed; None where there was none yet."""
+        return self._last_spectrum
+
     def trust_lamp(self) -> None:
         """Believe an operator who says that the lamp is warm."""
         self._lamp_since = -math.inf
@@ -159,15 +171,26 @@ class Instrument:
         await self._detector_stage.open()
         await self._set_shutter(False)
         await self._switch_lamp_on()
-        if self._regions:
-            detector = await home(self._detector_stage)
-            sample = await home(self._sample_stage)
-            unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
-            check_standing((sample, detector), (unbounded, unbounded), self._regions)
-        else:
-            sample, detector = await both(home(self._sample_stage), home(self._detector_stage))
-        self._marks = sample, detector
-        self._whereabouts = {self._marks}
+        await self._home()
+
+    async def home(self) -> None:
+        """Find both reference marks again; `open` has found them before.
+
+        Raises `GeometryError` before anything moves where a forbidden region may lie on the way.
+        """
+        check_sweep(self._whereabouts | {self._marks}, self._regions)
+        self._forget_targets()
+        self._whereabouts.add(self._marks)
+        await self._home()
+        self._astray.clear()
+
+    async def stages(self) -> tuple[StageState, StageState]:
+        """What the sample and the detector stage do now, as they say; may be asked at any time."""
+        return await self._sample_stage.state(), await self._detector_stage.state()
+
+    async def temperature(self) -> float:
+        """Of the detector now, degrees Celsius; waits for an integration to end."""
+        return await self._spectrometer.temperature()
 
     async def constants(self) -> Constants:
         """What the devices say about themselves, with the configured values."""
@@ -180,6 +203,10 @@ class Instrument:
             spectrometer.saturation,
             self._data,
         )
+
+    async def wavelengths(self) -> FloatArray:
+        """[pixels] nanometres, as the spectrometer tells them."""
+        return await self._spectrometer.wavelengths()
 
     def check(self, geometry: Geometry) -> None:
         """Raise `GeometryError` where the bench, its stages, a region or the blocked sector forbid `geometry`."""
@@ -206,6 +233,10 @@ class Instrument:
         self.check(geometry)
         return await self._go((geometry.sample_angle, geometry.detector_angle))
 
+    async def standing(self) -> Standing:
+        """What the two stages read at rest, degrees; raises `DeviceFault` for one that is not ready."""
+        return await both(ready(self._sample_stage), ready(self._detector_stage))
+
     async def face_source(self, theta_in: float, detector_angle: float = 0.0) -> Geometry:
         """Stand with the detector in front of the source, where it sees stray light only, and return the read-back.
 
@@ -231,15 +262,14 @@ class Instrument:
             fixed = targets if stop in (first, wanted) else here
             stays = [fixed[axis] == stop[axis] for axis in range(2)]
             self._whereabouts = {here, stop}
-            reached = await both(
-                settle(self._sample_stage, here[0], stop[0], stays=stays[0]),
-                settle(self._detector_stage, here[1], stop[1], stays=stays[1]),
-            )
+            stages = self._sample_stage, self._detector_stage
+            moves = [Move(stages[axis], here[axis], stop[axis], stays[axis]) for axis in range(2)]
+            sample, detector = await bring(self.clock, moves)
             targets = (
                 targets[0] if stays[0] else stop[0],
                 targets[1] if stays[1] else stop[1],
             )
-            here = reached
+            here = sample, detector
         self._whereabouts = {here}
         settling = [self._settling[axis] for axis in range(2) if left[axis] != wanted[axis]]
         if any(settling):
@@ -414,7 +444,20 @@ class Instrument:
                 f"{self._temperature:.1f} °C before; let the cooler settle"
             )
         self._last_count = spectrum.count
+        self._last_spectrum = spectrum
         return spectrum
+
+    async def _home(self) -> None:
+        """Find both reference marks; the detector stage first where regions are forbidden."""
+        if self._regions:
+            detector = await home(self._detector_stage)
+            sample = await home(self._sample_stage)
+            unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
+            check_standing((sample, detector), (unbounded, unbounded), self._regions)
+        else:
+            sample, detector = await both(home(self._sample_stage), home(self._detector_stage))
+        self._marks = sample, detector
+        self._whereabouts = {self._marks}
 
     async def _cruise(self) -> None:
         """Give the arm the velocity back that it had before a sweep."""

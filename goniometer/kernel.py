@@ -13,8 +13,8 @@ nothing of it and one that demands it.
 from dataclasses import astuple, dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, lapack
-from scipy.optimize import minimize
 
 from drivers.arrays import FloatArray
 from goniometer.lobe import NARROWEST, Lobe
@@ -130,7 +130,7 @@ def fit_scales(
         away = (x - _PRIOR) / _SPREAD
         return value + 0.5 * float(away @ away), gradient + away / _SPREAD
 
-    found = minimize(
+    found = scipy.optimize.minimize(
         cost, _free(start), jac=True, method="L-BFGS-B", bounds=_BOUNDS, options={"maxiter": steps, "ftol": 1e-5}
     )
     return _scales(found.x)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import curve_fit
+import scipy
 
 from drivers.arrays import FloatArray
 from goniometer.errors import CharacterisationError
@@ -144,7 +144,7 @@ def _find(element: str, known: float, wavelengths: FloatArray, rate: FloatArray,
         return None
     start = (y[HALF_WINDOW] - background, x[HALF_WINDOW], 0.7, background)
     try:
-        values, covariance = curve_fit(_gaussian, x, y, p0=start, sigma=u_y, absolute_sigma=True)
+        values, covariance = scipy.optimize.curve_fit(_gaussian, x, y, p0=start, sigma=u_y, absolute_sigma=True)
     except RuntimeError:  # no shape of a line
         return None
     chi_square = float(np.sum(((y - _gaussian(x, *values)) / u_y) ** 2)) / (len(x) - len(values))

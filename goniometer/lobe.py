@@ -7,7 +7,7 @@ how wide says on which scale a BRDF changes there, which matters more than their
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from drivers.arrays import FloatArray
 
@@ -172,7 +172,7 @@ def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, no
             if fixed:
                 low[-3], high[-3] = start[-3] - _NEAR, start[-3] + _NEAR
             limits = low[fixed:], high[fixed:]
-            found = least_squares(residuals, start[fixed:], bounds=limits, loss="soft_l1", max_nfev=25)
+            found = scipy.optimize.least_squares(residuals, start[fixed:], bounds=limits, loss="soft_l1", max_nfev=25)
             if found.cost < lowest:
                 best, lowest = np.concatenate([start[:fixed], found.x]), float(found.cost)
         return best, lowest

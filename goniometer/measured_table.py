@@ -24,6 +24,9 @@ SHORTEST, LONGEST = 100.0, 20_000.0
 DIGITS = 9
 """Decimals of an angle in degrees that are kept."""
 
+LEAST_FILLED = 0.5
+"""Part of all combinations of direction and wavelength that rows of one value each must have."""
+
 _FAR = 20.0
 """Incident angle, degrees, from which on mirror direction and way back are told apart."""
 
@@ -75,10 +78,13 @@ class MeasuredTable:
 
 
 def read_text(path: Path) -> tuple[str, bytes]:
-    """Text and content of a file; a byte order mark is taken off, and all line ends become the same.
+    """Text, as `as_text` has it, and content of a file; raises `DataFileError` as `read_content` and `as_text` do."""
+    content = read_content(path)
+    return as_text(str(path), content), content
 
-    Raises `DataFileError` where it cannot be read, is larger than `LARGEST_FILE`, or is no text.
-    """
+
+def read_content(path: Path) -> bytes:
+    """Content of a file; raises `DataFileError` where it cannot be read, or is larger than `LARGEST_FILE`."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
@@ -89,6 +95,14 @@ def read_text(path: Path) -> tuple[str, bytes]:
             f"{path}: is larger than {LARGEST_FILE / 1e6:.0f} MB, which is more than is read at once; leave out "
             f"wavelengths, or split it by incident angles."
         )
+    return content
+
+
+def as_text(path: str, content: bytes) -> str:
+    """Content as text; a byte order mark is taken off, and all line ends become the same.
+
+    `path` names the file in messages. Raises `DataFileError` where it is no text.
+    """
     encoding = "utf-16" if content[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig"
     try:
         text = content.decode(encoding)
@@ -96,7 +110,7 @@ def read_text(path: Path) -> tuple[str, bytes]:
         raise DataFileError(f"{path}: is no text in UTF-8; save it as such.") from error
     if "\0" in text:
         raise DataFileError(f"{path}: is no text but a binary file; name a file of a format that is read.")
-    return text.replace("\r\n", "\n").replace("\r", "\n"), content
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def tidied(path: str, table: MeasuredTable, lowest: float, highest: float) -> tuple[MeasuredTable, list[str]]:
@@ -221,6 +235,41 @@ def _which_side(table: MeasuredTable) -> list[str]:
         "At most incident angles the brightest direction lies on the side of the lamp; if the file counts theta_out "
         "the other way round, change its sign and import it again."
     ]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Rows of one value each, put in order: every direction at every wavelength."""
+
+    keys: FloatArray
+    """[keys, points] what tells points apart, e.g. theta_in and theta_out, degrees."""
+    wavelengths: FloatArray
+    """[wavelengths] ascending, in the unit of the rows."""
+    cell: Groups
+    """[rows] place of each row in the flattened grid."""
+    first: Groups
+    """[points] number of the first row of each point."""
+
+    def fill(self, values: FloatArray) -> FloatArray:
+        """[points, wavelengths] the [rows] `values`; NaN where there is no row."""
+        grid = np.full((self.keys.shape[1], self.wavelengths.size), np.nan)
+        grid.ravel()[self.cell] = values
+        return grid
+
+
+def gridded(path: str, keys: FloatArray, wavelengths: FloatArray) -> Grid:
+    """The grid of rows with [keys, rows] `keys` and [rows] `wavelengths`; `path` names the file in messages.
+
+    Raises `DataFileError` where less than `LEAST_FILLED` of the grid would have a value.
+    """
+    points, first, of_point = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+    columns, of_wavelength = np.unique(wavelengths, return_inverse=True)
+    if wavelengths.size < LEAST_FILLED * points.shape[1] * columns.size:
+        raise DataFileError(
+            f"{path}: {wavelengths.size} rows are less than half of {points.shape[1]} directions times {columns.size} "
+            f"wavelengths; bring all spectra to the same wavelengths first."
+        )
+    return Grid(points, columns, of_point.ravel() * columns.size + of_wavelength.ravel(), first)
 
 
 def mirror_is_absent(table: MeasuredTable) -> bool:

@@ -2,7 +2,8 @@
 
 import asyncio
 import logging
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from drivers.clock import Clock
@@ -25,6 +26,18 @@ def not_ready(stage: RotationStage, state: StageState) -> str:
     return f"{stage.name}: is {state.phase.value}{why}, not ready; was it switched off? Home it"
 
 
+@dataclass(frozen=True)
+class Move:
+    """A move of one stage, angles in degrees."""
+
+    stage: RotationStage
+    here: float
+    """Where it was read last."""
+    wanted: float
+    stays: bool
+    """Whether it is there already, and is only looked at."""
+
+
 async def home(stage: RotationStage) -> float:
     """Find the reference mark of one stage; returns the angle read back."""
     await stage.home()
@@ -39,16 +52,46 @@ async def ready(stage: RotationStage) -> float:
     return state.position
 
 
-async def settle(stage: RotationStage, here: float, wanted: float, *, stays: bool) -> float:
-    """Bring one stage from `here` to `wanted`, unless it stays; returns the angle read back."""
-    reached = await stage.position() if stays else await stage.move_to(wanted)
-    if stays and abs(reached - here) > TWICE:
+async def bring(clock: Clock, moves: Sequence[Move]) -> tuple[float, ...]:
+    """Make all moves; returns the angles read back, in their order.
+
+    The stages begin at once and are then awaited one after the other, each however the one before has ended, so that no
+    stage is left unwatched; when all rest does not depend on whose reply comes first. Raises the first thing that went
+    wrong.
+    """
+    begun = await asyncio.gather(*(_begin(move) for move in moves), return_exceptions=True)
+    moment = clock.now()
+    reached: list[float] = []
+    faults: list[BaseException] = []
+    for move, seconds in zip(moves, begun, strict=True):
+        if isinstance(seconds, BaseException):
+            faults.append(seconds)
+            continue
+        try:
+            reached.append(await _end(move, max(moment + seconds - clock.now(), 0.0)))
+        except DriverError as error:
+            faults.append(error)
+    if faults:
+        raise faults[0]
+    return tuple(reached)
+
+
+async def _begin(move: Move) -> float:
+    """Begin a move and return how long it should take, seconds."""
+    return 0.0 if move.stays else await move.stage.begin_move(move.wanted)
+
+
+async def _end(move: Move, seconds: float) -> float:
+    """Wait for a move that should still take so long; returns the angle read back."""
+    stage = move.stage
+    reached = await (stage.position() if move.stays else stage.arrive(move.wanted, seconds))
+    if move.stays and abs(reached - move.here) > TWICE:
         raise ProtocolError(
-            f"{stage.name}: reads {here:.3f}° and then {reached:.3f}° at rest; check the cable and the brake"
+            f"{stage.name}: reads {move.here:.3f}° and then {reached:.3f}° at rest; check the cable and the brake"
         )
-    if not abs(reached - wanted) <= ARRIVAL:  # also where it is no number
+    if not abs(reached - move.wanted) <= ARRIVAL:  # also where it is no number
         raise DeviceFault(
-            f"{stage.name}: reads {reached:.3f}° where it was sent to {wanted:.3f}°; look for an obstacle"
+            f"{stage.name}: reads {reached:.3f}° where it was sent to {move.wanted:.3f}°; look for an obstacle"
         )
     return reached
 

@@ -7,12 +7,14 @@ mirror direction.
 """
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import FloatArray
+from goniometer.dataset import Dataset
 from goniometer.errors import DataFileError
 from goniometer.measured_table import MeasuredTable, mirror_is_absent
 
@@ -66,6 +68,32 @@ def read_published_json(path: str, text: str) -> tuple[MeasuredTable, list[str]]
         "The file has the way back into the lamp where the mirror direction is expected to be, and nothing there; as "
         "no detector can measure that, equal azimuths were taken as the mirror side."
     ]
+
+
+def published_json(dataset: Dataset) -> tuple[str, list[str]]:
+    """The text of such a file, and sentences about what is not in it; it holds no uncertainty and no flags.
+
+    Points that no fit may use are left out; null is no value.
+    """
+    usable = np.flatnonzero(dataset.usable)
+    if not usable.size:
+        raise DataFileError(f"{dataset.sample}: has no point that may be exported; measure it again.")
+    lines = [json.dumps({"wavelengths": dataset.wavelengths.tolist()})]
+    for theta_in, theta_out, spectrum in zip(
+        dataset.theta_in[usable].tolist(), dataset.theta_out[usable].tolist(), dataset.brdf[usable], strict=True
+    ):
+        point = {
+            "thetaIn": theta_in,
+            "phiIn": 0,
+            "thetaOut": abs(theta_out),
+            "phiOut": 0 if theta_out < 0 else 180,
+            "spectrum": [value if math.isfinite(value) else None for value in spectrum.tolist()],
+        }
+        lines.append(json.dumps(point, allow_nan=False))
+    told = ["The format holds neither uncertainties nor flags."]
+    if left := dataset.theta_in.size - usable.size:
+        told.append(f"{left} of {dataset.theta_in.size} points are flagged as unusable and were left out.")
+    return "[\n" + ",\n".join(lines) + "\n]\n", told
 
 
 def _numbers(path: str, element: int, name: str, values: Any) -> FloatArray:

@@ -1,7 +1,7 @@
 """The noise of a spectrum, from how its neighbouring wavelengths scatter."""
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from drivers.arrays import FloatArray
 
@@ -41,6 +41,6 @@ def _of_complete(x: FloatArray, y: FloatArray) -> FloatArray:
     )
     parabola = weights[0] * y[:, :-3] + weights[1] * y[:, 2:-1] + weights[2] * y[:, 3:]
     square = (y[:, 1:-2] - parabola) ** 2 / (1 + (weights**2).sum(axis=0))
-    mean = uniform_filter1d(square, min(WINDOW, square.shape[1]), axis=1, mode="reflect")
+    mean = scipy.ndimage.uniform_filter1d(square, min(WINDOW, square.shape[1]), axis=1, mode="reflect")
     # the running sums of the filter may round a zero to less; the ends have no comparison of their own
     return np.asarray(np.pad(np.sqrt(np.maximum(mean, 0.0)), ((0, 0), (1, 2)), mode="edge"))

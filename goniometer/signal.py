@@ -15,7 +15,7 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.errors import CalibrationError
@@ -176,11 +176,15 @@ def _stray(raw: RawScan, corrections: Set[str]) -> tuple[FloatArray, FloatArray]
         raise CalibrationError(
             f"The stray light of scan {raw.scan_id} saturates the detector; look what shines into it, and measure again"
         )
-    levels = np.array([uniform_filter1d(part.rate, STRAY_WINDOW, mode="nearest") for part in parts])
+    levels = np.array([scipy.ndimage.uniform_filter1d(part.rate, STRAY_WINDOW, mode="nearest") for part in parts])
     noises = np.array(
         [
             # the running sums of the filter may round a zero to less
-            np.sqrt(np.maximum(uniform_filter1d(part.variance + part.u_dark**2, STRAY_WINDOW, mode="nearest"), 0.0))
+            np.sqrt(
+                np.maximum(
+                    scipy.ndimage.uniform_filter1d(part.variance + part.u_dark**2, STRAY_WINDOW, mode="nearest"), 0.0
+                )
+            )
             / np.sqrt(STRAY_WINDOW)
             for part in parts
         ]

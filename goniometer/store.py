@@ -7,10 +7,11 @@ written together or not at all.
 
 import json
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import Subquery, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -43,8 +44,11 @@ from goniometer.track import Passage
 
 _REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
+_COMMAND = select(tables.scans.c.command).where(tables.scans.c.id == bindparam("scan"))
+"""Built once, for a scan that runs asks many times a second."""
 
 
+@cache  # to build it takes longer than to ask it
 def _counted_scans() -> Subquery:
     """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
     here = tables.scans.c
@@ -70,7 +74,7 @@ class Store(Derived):
         """
         path = campaign.reference.certificate
         certificate = certificate if path is None else read_certificate(Path(path))
-        with self._writing() as connection:
+        with self.writing() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
                 mine = tables.scans.c.campaign_id == known.id
@@ -127,23 +131,23 @@ class Store(Derived):
 
     def campaign(self, campaign_id: int) -> Campaign:
         """The campaign as it was started; raises `NotInStore`."""
-        row = self._one(select(tables.campaigns).where(tables.campaigns.c.id == campaign_id), f"campaign {campaign_id}")
+        row = self.row(select(tables.campaigns).where(tables.campaigns.c.id == campaign_id), f"campaign {campaign_id}")
         return Campaign.model_validate_json(row.json)
 
     def certificate(self, campaign_id: int) -> str | None:
         """Text of the certificate file that a campaign was started with, None without one; raises `NotInStore`."""
         query = select(tables.campaigns.c.certificate).where(tables.campaigns.c.id == campaign_id)
-        text: str | None = self._one(query, f"campaign {campaign_id}").certificate
+        text: str | None = self.row(query, f"campaign {campaign_id}").certificate
         return text
 
     def campaigns(self) -> dict[int, str]:
         """Name of every campaign by its id, oldest first."""
-        return {row.id: row.name for row in self._all(select(tables.campaigns).order_by(tables.campaigns.c.id))}
+        return {row.id: row.name for row in self.rows(select(tables.campaigns).order_by(tables.campaigns.c.id))}
 
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
         counted = _counted_scans()
-        return to_scan(self._one(select(counted).where(counted.c.id == scan_id), f"scan {scan_id}"))
+        return to_scan(self.row(select(counted).where(counted.c.id == scan_id), f"scan {scan_id}"))
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
@@ -151,7 +155,7 @@ class Store(Derived):
         query = select(counted).order_by(counted.c.campaign_id, counted.c.number)
         if campaign_id is not None:
             query = query.where(counted.c.campaign_id == campaign_id)
-        return [to_scan(row) for row in self._all(query)]
+        return [to_scan(row) for row in self.rows(query)]
 
     def reference_scan(self, scan_id: int) -> Scan:
         """The last reference scan of its campaign up to `scan_id`, which serves it; raises `NotInStore`."""
@@ -174,7 +178,7 @@ class Store(Derived):
     def finish_scan(self, scan_id: int, outcome: Outcome, reason: str = "") -> None:
         """Note how a scan ended; a point that was being measured then is pending again."""
         nothing = dict.fromkeys(("expected_points", *_REMAINING)) if outcome == "completed" else {}
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 update(tables.points)
                 .where(tables.points.c.scan_id == scan_id, tables.points.c.status == "running")
@@ -207,7 +211,7 @@ class Store(Derived):
             "resume": here.phase,
             "abort": "aborting",
         }[command]
-        with self._writing() as connection:
+        with self.writing() as connection:
             asked = connection.execute(
                 update(tables.scans)
                 .where(here.id == scan_id, here.phase.not_in(("idle", "finished")))
@@ -221,16 +225,14 @@ class Store(Derived):
 
     def command(self, scan_id: int) -> Command | None:
         """What was asked for and not taken up yet."""
-        with self._reading() as connection:
-            command: Command | None = connection.execute(
-                select(tables.scans.c.command).where(tables.scans.c.id == scan_id)
-            ).scalar()
+        with self.reading() as connection:
+            command: Command | None = connection.execute(_COMMAND, {"scan": scan_id}).scalar()
             return command
 
     def clear_command(self, scan_id: int, taken: Command | None = None) -> None:
         """Note that the command `taken` has been taken up, and leave one that came meanwhile; None clears any."""
         here = tables.scans.c
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 update(tables.scans)
                 .where(here.id == scan_id, literal(taken is None) | (here.command == taken))
@@ -263,14 +265,14 @@ class Store(Derived):
         return to_constants(text)
 
     def _constants_json(self, scan_id: int) -> str | None:
-        row = self._one(select(tables.scans.c.constants).where(tables.scans.c.id == scan_id), f"scan {scan_id}")
+        row = self.row(select(tables.scans.c.constants).where(tables.scans.c.id == scan_id), f"scan {scan_id}")
         return None if row.constants is None else str(row.constants)
 
     # Points and raw exposures
 
     def add_points(self, scan_id: int, geometries: Sequence[Geometry]) -> None:
         """Append a batch of the plan to a scan, in this order."""
-        with self._writing() as connection:
+        with self.writing() as connection:
             first = connection.execute(
                 select(func.count()).select_from(tables.points).where(tables.points.c.scan_id == scan_id)
             ).scalar_one()
@@ -291,12 +293,12 @@ class Store(Derived):
     def points(self, scan_id: int) -> list[Point]:
         """All points of a scan, in the order in which the plan asked for them."""
         query = select(tables.points).where(tables.points.c.scan_id == scan_id).order_by(tables.points.c.number)
-        return [to_point(row) for row in self._all(query)]
+        return [to_point(row) for row in self.rows(query)]
 
     def start_point(self, point_id: int, expected_points: int | None = None, remaining: Expected | None = None) -> None:
         """Note that a point is being measured, that this is one more attempt, and what is foreseen of its scan."""
         left = None if remaining is None else (remaining.seconds, remaining.low, remaining.high)
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 update(tables.points)
                 .where(tables.points.c.id == point_id)
@@ -326,7 +328,7 @@ class Store(Derived):
         that was reached, and `reason` says what is less than was wanted. Raises `StoreError`, and writes nothing,
         where the point is not being measured.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 insert(tables.exposures),
                 [exposure_row(point.scan_id, point.id, "light", read_back, session, moment, s) for s in spectra],
@@ -353,7 +355,7 @@ class Store(Derived):
 
     def release_points(self, scan_id: int) -> None:
         """Make points pending again: what was being measured when a run stopped, and what failed in it."""
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 update(tables.points)
                 .where(tables.points.c.scan_id == scan_id, tables.points.c.status.in_(("running", "failed")))
@@ -374,7 +376,7 @@ class Store(Derived):
         `moment` is when they were taken, on the clock of the `session` of the bench; `geometry` where the stages stood,
         None for darks.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 insert(tables.exposures),
                 [exposure_row(scan_id, None, kind, geometry, session, moment, s) for s in spectra],
@@ -385,7 +387,7 @@ class Store(Derived):
 
         Each has the moment of its own middle, on the clock of the `session` of the bench.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 insert(tables.exposures),
                 [
@@ -406,7 +408,7 @@ class Store(Derived):
     def exposures(self, scan_id: int) -> list[Exposure]:
         """All raw exposures of a scan, darks included, in the order in which they were written."""
         query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
-        return [to_exposure(row) for row in self._all(query)]
+        return [to_exposure(row) for row in self.rows(query)]
 
     def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:
         """When, where and for how long all raw exposures of a scan were taken whose id is greater than `after`."""
@@ -427,5 +429,10 @@ class Store(Derived):
                 row.session,
                 row.integration_time,
             )
-            for row in self._all(query)
+            for row in self.rows(query)
         ]
+
+    def exposures_of_point(self, point_id: int) -> list[int]:
+        """Ids of all raw exposures of a point, in the order in which they were written."""
+        here = tables.exposures.c
+        return [row.id for row in self.rows(select(here.id).where(here.point_id == point_id).order_by(here.id))]

@@ -2,9 +2,10 @@
 
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
-characterisations of the bench stand alone. Exposures and everything derived are only ever added: in SQLite, triggers
-refuse to change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the
-bench that measured; those of two sessions cannot be compared.
+characterisations of the bench stand alone. What the service needs besides stands in `goniometer.service_tables`.
+Exposures and everything derived are only ever added: in SQLite, triggers refuse to change or delete them. Times are
+ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those of two sessions
+cannot be compared.
 """
 
 from sqlalchemy import (
@@ -31,9 +32,12 @@ from sqlalchemy import (
 from goniometer.errors import StoreError
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 metadata = MetaData()
+
+ONLY_ADDED = {"only_added": True}
+"""`info` of a table whose rows nobody may change or delete."""
 
 about = Table(
     "about",
@@ -122,6 +126,7 @@ exposures = Table(
     CheckConstraint("(kind = 'dark') = (theta_in IS NULL) AND (theta_in IS NULL) = (theta_out IS NULL)"),
     CheckConstraint("(kind = 'sweep') = (theta_out_end IS NOT NULL)"),
     Index("exposures_of_scan", "scan_id"),
+    info=ONLY_ADDED,
 )
 
 datasets = Table(
@@ -130,13 +135,25 @@ datasets = Table(
     Column("id", Integer, primary_key=True),
     Column("scan_id", ForeignKey("scans.id")),
     Column("sample", String, nullable=False),
-    Column("arrays", LargeBinary, nullable=False),
-    Column("checks", Text, nullable=False),
-    Column("certificate", Text),
-    Column("lineage", Text, nullable=False),
+    Column("kind", String, nullable=False),
+    Column("points", Integer, nullable=False),
+    Column("incident_angles", Integer, nullable=False),
+    Column("shortest", Float, nullable=False),
+    Column("longest", Float, nullable=False),
+    Column("flags", Integer, nullable=False),
+    Column("flagged", Integer, nullable=False),
+    Column("checks_failed", Integer, nullable=False),
+    Column("recalibrated_from", Integer),
     Column("content_hash", String, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
+    Column("certificate", Text),
+    Column("checks", Text, nullable=False),
+    Column("lineage", Text, nullable=False),
+    # last, for SQLite reads a row from its front, and a list of datasets needs none of their numbers
+    Column("arrays", LargeBinary, nullable=False),
+    CheckConstraint("kind IN ('measured', 'simulated', 'imported')"),
+    info=ONLY_ADDED,
 )
 
 fits = Table(
@@ -148,6 +165,7 @@ fits = Table(
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
+    info=ONLY_ADDED,
 )
 
 exports = Table(
@@ -159,6 +177,7 @@ exports = Table(
     Column("format", String, nullable=False),
     Column("sha256", String, nullable=False),
     Column("created", String, nullable=False),
+    info=ONLY_ADDED,
 )
 
 characterisations = Table(
@@ -169,9 +188,8 @@ characterisations = Table(
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
+    info=ONLY_ADDED,
 )
-
-IMMUTABLE = (exposures, datasets, fits, exports, characterisations)
 
 
 def prepare(engine: Engine, where: str) -> None:
@@ -208,7 +226,7 @@ def _create(connection: Connection) -> None:
     metadata.create_all(connection)
     connection.execute(insert(about).values(application=APPLICATION, schema_version=SCHEMA_VERSION))
     if connection.dialect.name == "sqlite":
-        for table in IMMUTABLE:
+        for table in (each for each in metadata.sorted_tables if each.info == ONLY_ADDED):
             for verb in ("UPDATE", "DELETE"):
                 connection.execute(
                     text(

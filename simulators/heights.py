@@ -7,8 +7,7 @@ the diagonal from its lowest indices to its highest. Slopes and areas here are t
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage, sparse
-from scipy.sparse.linalg import spsolve
+import scipy
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
@@ -108,10 +107,10 @@ def filled(field: HeightField) -> HeightField:
         held = inside & ~coupled
         right[held] += heights.ravel()[neighbour[held]]
     rows, columns = (np.concatenate(parts) for parts in zip(*off, strict=True))
-    coupling = sparse.csc_array((np.ones(rows.size), (rows, columns)), shape=(unknown.size, unknown.size))
-    membrane = sparse.csc_array(sparse.diags_array(diagonal) - coupling)
+    coupling = scipy.sparse.csc_array((np.ones(rows.size), (rows, columns)), shape=(unknown.size, unknown.size))
+    membrane = scipy.sparse.csc_array(scipy.sparse.diags_array(diagonal) - coupling)
     whole = heights.ravel().copy()
-    whole[unknown] = spsolve(membrane, right)
+    whole[unknown] = scipy.sparse.linalg.spsolve(membrane, right)
     return replace(field, heights_um=whole.reshape(heights.shape))
 
 
@@ -194,7 +193,7 @@ def _autocorrelation_length(field: HeightField) -> float:
     lags = np.arange(0, min(middle) - 1 + 1e-9, 0.25)
     angle = np.pi * np.arange(180) / 180
     places = np.stack([middle[0] + np.outer(np.sin(angle), lags), middle[1] + np.outer(np.cos(angle), lags)])
-    along = ndimage.map_coordinates(correlation, places, order=1)
+    along = scipy.ndimage.map_coordinates(correlation, places, order=1)
     fallen = along <= FALLEN_TO
     direction = np.flatnonzero(fallen.any(axis=1))
     if not direction.size:

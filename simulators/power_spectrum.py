@@ -13,9 +13,9 @@ from math import ceil, floor, pi
 
 import finufft
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.signal.windows import tukey
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
@@ -166,5 +166,5 @@ def _fade(field: HeightField, points: int, s_um: float) -> FloatArray:
             f"The topography is {length:.3g} um wide, but a coherence window of {s_um:.3g} um needs at least "
             f"{2 * _EDGE * s_um:.3g} um to be averaged over one that is not periodic; take a smaller window."
         )
-    weight = tukey(points, 2 * _EDGE * s_um / length)
+    weight = scipy.signal.windows.tukey(points, 2 * _EDGE * s_um / length)
     return np.asarray(weight / np.sqrt((weight**2).mean()))

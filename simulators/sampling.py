@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from math import ceil, pi
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from drivers.arrays import FloatArray
 from simulators.heights import HeightField, around, complete
@@ -96,7 +96,7 @@ def _refined_along(heights: FloatArray, axis: int, times: int, periodic: bool) -
     if periodic:
         first = np.take(heights, [0], axis=axis)
         closed = np.concatenate([heights, first], axis=axis)
-        spline = CubicSpline(np.arange(count + 1), closed, axis=axis, bc_type="periodic")
+        spline = scipy.interpolate.CubicSpline(np.arange(count + 1), closed, axis=axis, bc_type="periodic")
         return np.asarray(spline(np.arange(count * times) / times))
-    spline = CubicSpline(np.arange(count), heights, axis=axis)
+    spline = scipy.interpolate.CubicSpline(np.arange(count), heights, axis=axis)
     return np.asarray(spline(np.arange((count - 1) * times + 1) / times))

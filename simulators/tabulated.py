@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from analysis.directions import Aperture, through_aperture
 from drivers.arrays import FloatArray
@@ -57,8 +57,8 @@ class Row:
     """[directions, wavelengths] 1/sr."""
 
     @cached_property
-    def _logarithm(self) -> PchipInterpolator:
-        return PchipInterpolator(self.theta_out, np.log(self.brdf + FLOOR))
+    def _logarithm(self) -> "scipy.interpolate.PchipInterpolator":
+        return scipy.interpolate.PchipInterpolator(self.theta_out, np.log(self.brdf + FLOOR))
 
     def logarithm(self, theta_out: FloatArray) -> FloatArray:
         """[directions, wavelengths] of f + `FLOOR`; beyond the table that of its edge."""

@@ -14,7 +14,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from drivers.arrays import FloatArray
 from goniometer.errors import DataFileError
@@ -149,5 +149,5 @@ def _resampled(heights: FloatArray, pitches: tuple[float, float]) -> FloatArray:
     axis, coarse = (1, pitches[0]) if pitches[0] > pitches[1] else (0, pitches[1])
     places = coarse * np.arange(heights.shape[axis])
     wanted = np.arange(0, places[-1] * (1 + 1e-12), min(pitches))
-    spline = make_interp_spline(places, heights, k=min(3, places.size - 1), axis=axis)
+    spline = scipy.interpolate.make_interp_spline(places, heights, k=min(3, places.size - 1), axis=axis)
     return np.asarray(spline(np.minimum(wanted, places[-1])))

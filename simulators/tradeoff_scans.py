@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from analysis.colour import delta_e_2000, xyz_weights
 from analysis.tradeoff import Axis, Chart, Choice
@@ -95,7 +95,9 @@ def through_pchip(spec: PlanSpec, points: Sequence[Measured]) -> Read:
                     continue
                 x = np.array([p.geometry.theta_out for p in mine])
                 y = np.log1p(np.maximum([p.values for p in mine], 0))
-                out[here] = np.expm1(PchipInterpolator(x, y)(theta_out[here]) if len(x) > 1 else y[:1])
+                out[here] = np.expm1(
+                    scipy.interpolate.PchipInterpolator(x, y)(theta_out[here]) if len(x) > 1 else y[:1]
+                )
         return out
 
     return read

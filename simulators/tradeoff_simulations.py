@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.tradeoff import Axis, Candidate, Chart, race
@@ -162,7 +162,7 @@ def _wave_chart(name: str, field: HeightField, rounds: int, tell: Tell) -> Chart
         some = np.linspace(wavelengths[0], wavelengths[-1], nodes)
         surface = averaged(field, theta_in, theta_out, some, coherence)
         brdf = averaged_brdf(surface, theta_in, theta_out, some).brdf
-        return np.asarray(CubicSpline(some, brdf, axis=1)(wavelengths))
+        return np.asarray(scipy.interpolate.CubicSpline(some, brdf, axis=1)(wavelengths))
 
     tell("waves: reference")
     right = everywhere(field, 0)

@@ -8,6 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+TOGETHER = 20
+"""Examples of 10,000 that are drawn at once, because to begin a draw takes longer than most of the checks."""
+
 
 def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make of a check a test of 200 drawn examples, and one of 10,000 for who has the time.
@@ -18,20 +21,28 @@ def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]
     def decorate(check: Callable[..., None]) -> Callable[..., None]:
         *fixtures, drawn = signature(check).parameters.values()
 
-        @pytest.mark.parametrize("examples", [200, pytest.param(10_000, marks=pytest.mark.slow)])
-        def test(examples: int, **fixture_values: Any) -> None:
-            @settings(max_examples=examples, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-            @given(strategy)
-            def each(value: Any) -> None:
-                check(**fixture_values, **{drawn.name: value})
+        @pytest.mark.parametrize(
+            ("examples", "together"), [(200, 1), pytest.param(10_000, TOGETHER, marks=pytest.mark.slow)]
+        )
+        def test(examples: int, together: int, **fixture_values: Any) -> None:
+            @settings(
+                max_examples=examples // together,
+                deadline=None,
+                derandomize=True,
+                suppress_health_check=list(HealthCheck),
+            )
+            @given(st.lists(strategy, min_size=together, max_size=together))
+            def each(values: list[Any]) -> None:
+                for value in values:
+                    check(**fixture_values, **{drawn.name: value})
 
             each()
 
         test.__name__ = check.__name__
         test.__doc__ = check.__doc__
         # pytest reads here what the test wants
-        examples = Parameter("examples", Parameter.POSITIONAL_OR_KEYWORD)
-        test.__signature__ = signature(check).replace(parameters=[examples, *fixtures])
+        new = [Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in ("examples", "together")]
+        test.__signature__ = signature(check).replace(parameters=[*new, *fixtures])
         return test
 
     return decorate

@@ -14,6 +14,7 @@ from analysis.filled_figure import STEP
 from analysis.noise import at_wavelength
 from analysis.notation import with_uncertainty
 from analysis.results import SampleAnalysis
+from analysis.shown_colours import Exposure, exposure_of
 from analysis.svg import INK, hex_colour
 from goniometer.dataset import Dataset, Flag
 from goniometer.fill import fill, unmeasured
@@ -32,7 +33,7 @@ def rough_analysis(measure: Callable[..., Dataset]) -> SampleAnalysis:
 
 def _all(analysis: SampleAnalysis) -> list[str]:
     dataset = analysis.dataset
-    exposure = figures.exposure_of(dataset)
+    exposure = exposure_of(dataset)
     return [
         figures.colour_map(dataset, dataset.brdf, exposure, "a", "Measured", measured=True),
         figures.colour_map(dataset, dataset.brdf, None, "b", "Hue"),
@@ -87,7 +88,7 @@ def test_a_flagged_cell_is_outlined_and_says_for_what(rough_analysis: SampleAnal
     flagged = replace(dataset, flags=flags)
 
     def drawn(measured: bool, of: Dataset) -> tuple[list[str], int]:
-        svg = figures.colour_map(of, of.brdf, figures.exposure_of(of), "a", "Map", measured=measured)
+        svg = figures.colour_map(of, of.brdf, exposure_of(of), "a", "Map", measured=measured)
         root = ElementTree.fromstring(svg)
         titles = [e.text or "" for e in root.iter(f"{SVG}title")]
         return titles, sum(e.get("stroke-dasharray") is not None for e in root.iter(f"{SVG}rect"))
@@ -109,14 +110,14 @@ def test_flagged_neighbours_have_one_outline(rough_analysis: SampleAnalysis) -> 
     flags = np.zeros_like(dataset.flags)
     flags[row] = Flag.BELOW_NOISE
     flagged = replace(dataset, flags=flags)
-    svg = figures.colour_map(flagged, dataset.brdf, figures.exposure_of(dataset), "a", "Map", measured=True)
+    svg = figures.colour_map(flagged, dataset.brdf, exposure_of(dataset), "a", "Map", measured=True)
     assert svg.count('stroke-dasharray="2 2"') == 1
 
 
 def test_what_was_filled_says_so_in_map_and_curves_and_is_no_measured_cell(rough_analysis: SampleAnalysis) -> None:
     dataset = rough_analysis.dataset
     filled = fill(dataset, *unmeasured(dataset, STEP))
-    exposure = figures.exposure_of(dataset)
+    exposure = exposure_of(dataset)
     svg = figures.colour_map(dataset, dataset.brdf, exposure, "a", "Map", measured=True, filled=filled)
     titles = [e.text or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}title")]
     assert sum("not measured" in title for title in titles) == filled.tells.sum() > 0
@@ -160,7 +161,7 @@ def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: Samp
         sources=(ErrorSource("random: counts", "random", 0.01 * brdf, None, False),),
         flags=np.zeros(3, dtype=np.uint16),
     )
-    svg = figures.colour_map(small, brdf, figures.Exposure(1.0, 0), "x", "x")
+    svg = figures.colour_map(small, brdf, Exposure(1.0, 0), "x", "x")
     fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
     assert fills[0] == "#ffffff"
     assert fills[2] in ("#7f7f7f", "#808080")
@@ -185,7 +186,7 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     brdf[4, 20:30] = np.nan
     brdf[5] = np.nan
     gap = replace(dataset, brdf=brdf)
-    svg = figures.colour_map(gap, brdf, figures.exposure_of(gap), "x", "x")
+    svg = figures.colour_map(gap, brdf, exposure_of(gap), "x", "x")
     assert "#80808026" in svg
     ElementTree.fromstring(figures.distributions(gap, "y"))
     ElementTree.fromstring(figures.spectra(gap, rough_analysis.local, "z"))

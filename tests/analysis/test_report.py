@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from analysis.analyse import analyse
+from analysis.bsdf_error import RelativeError
+from analysis.bsdf_search import Budget
 from analysis.errors import ExportError
-from analysis.export_mitsuba import BsdfReport, RelativeError
+from analysis.export_mitsuba import BsdfReport, Tried
 from analysis.notation import uncertainty, with_uncertainty
 from analysis.report import RunFacts, report_html, write_report
 from analysis.results import Parameter, SampleAnalysis, Verdict
@@ -25,7 +27,16 @@ FACTS = RunFacts(
     failed_points=2,
     too_noisy="12 points stayed below the wanted ratio & more.",
     files=(("disc.json", "all fits"), ("disc & more.bsdf", "for rendering")),
-    bsdf=BsdfReport(Path("disc.bsdf"), 5, "flat", np.arange(6.0), 0.043, ERROR, {"flat": ERROR}, ""),
+    bsdf=BsdfReport(
+        Path("disc.bsdf"),
+        5,
+        "flat",
+        np.arange(6.0),
+        Budget(),
+        "Clamped: a trifle.",
+        {"flat": Tried(5, 8, 12, ERROR, 0.043, 0.1, 0.93)},
+        "",
+    ),
 )
 
 

@@ -3,12 +3,15 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+ROOT = Path(__file__).parents[2]
+TIMEOUT = 300.0
+"""Seconds that a command may take."""
 COMMAND = str(Path(sys.executable).with_name("goniometer"))
 
 LONG = """
@@ -36,14 +39,39 @@ monitor: null
 
 
 @pytest.fixture(scope="session")
-def cli() -> Cli:
-    """Run the command line with these arguments in this folder."""
+def cli(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cli]:
+    """Run the command line with these arguments in this folder, in a process of its own that is loaded already."""
+    folder = tmp_path_factory.mktemp("cli")
+    out, err = folder / "stdout", folder / "stderr"
+    with (folder / "nursery").open("w+") as log:
+        nursery = subprocess.Popen(
+            [sys.executable, "-m", "tests.api.nursery"],
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+        assert nursery.stdin is not None
+        assert nursery.stdout is not None
 
-    def run(*arguments: object, cwd: Path, **options: Any) -> subprocess.CompletedProcess[str]:
-        command: Sequence[str] = [COMMAND, *map(str, arguments)]
-        return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=300, **options)
+        def run(*arguments: object, cwd: Path, typed: str = "") -> subprocess.CompletedProcess[str]:
+            command = [str(argument) for argument in arguments]
+            files = {"stdin": folder / "stdin", "stdout": out, "stderr": err}
+            files["stdin"].write_text(typed)
+            names = {name: str(path) for name, path in files.items()}
+            job = {"arguments": command, "cwd": str(cwd), "timeout": TIMEOUT, **names}
+            print(json.dumps(job), file=nursery.stdin, flush=True)
+            answer = nursery.stdout.readline()
+            assert answer, (folder / "nursery").read_text()
+            code = json.loads(answer)
+            if code is None:
+                raise subprocess.TimeoutExpired(command, TIMEOUT, out.read_text(), err.read_text())
+            return subprocess.CompletedProcess(command, code, out.read_text(), err.read_text())
 
-    return run
+        yield run
+        nursery.stdin.close()
+        nursery.wait()
 
 
 @pytest.fixture
@@ -55,10 +83,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def small(cli: Cli, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Folder and JSON of the small campaign, run once from end to end without interruption."""
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Folder and JSON of the small campaign, run once from end to end without interruption, from cold."""
     folder = tmp_path_factory.mktemp("small")
     (folder / "small.yaml").write_text(SMALL)
-    done = cli("run", "small.yaml", "--json", cwd=folder)
+    command = [COMMAND, "run", "small.yaml", "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=TIMEOUT)
     assert done.returncode == 0, done.stderr
     return folder, json.loads(done.stdout)

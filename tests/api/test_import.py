@@ -10,7 +10,8 @@ from typer.testing import CliRunner, Result
 
 from analysis.errors import FitError
 from api.cli import app
-from api.products import HowToFit, export_dataset, fit_dataset, last_way, report_dataset
+from api.exports import export_dataset
+from api.products import HowToFit, fit_dataset, last_way, report_dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.materials import SAMPLES, true_brdf

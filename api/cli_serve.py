@@ -1,0 +1,47 @@
+"""`goniometer serve`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from api.arguments import DATABASE, DatabaseFile
+from api.settings import load_instrument
+from goniometer.errors import InputError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+
+    @app.command()
+    def serve(
+        database: DatabaseFile = DATABASE,
+        output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
+        instrument: Annotated[
+            Path | None, typer.Option(help="Instrument file (TOML); without it the simulated bench is driven.")
+        ] = None,
+        mount_by_itself: Annotated[
+            bool, typer.Option("--mount-by-itself", help="Simulated bench: lay samples on it without asking anybody.")
+        ] = False,
+        host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+        port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes any.")] = 8000,
+        tls_cert: Annotated[
+            Path | None, typer.Option(exists=True, dir_okay=False, help="Certificate with its chain (PEM), for https.")
+        ] = None,
+        tls_key: Annotated[Path | None, typer.Option(exists=True, dir_okay=False, help="Its key (PEM).")] = None,
+        behind_proxy: Annotated[
+            bool, typer.Option("--behind-proxy", help="A proxy in front of it speaks https; nobody comes past it.")
+        ] = False,
+        host_name: Annotated[
+            list[str] | None, typer.Option(help="Name under which it is known, besides the machine's; may be repeated.")
+        ] = None,
+    ) -> None:
+        """Serve REST, events and the pages of the bench until it is stopped."""
+        from api.serve import Listen  # noqa: PLC0415  (FastAPI takes half a second)
+        from api.serve import serve as run  # noqa: PLC0415
+
+        settings = load_instrument(instrument) if instrument else None
+        if settings is not None and mount_by_itself:
+            raise InputError("--mount-by-itself is for the simulated bench; leave it out, or leave out --instrument.")
+        listen = Listen(host, port, tls_cert, tls_key, behind_proxy, tuple(host_name or ()))
+        run(database, output, settings, listen, mounts_by_itself=mount_by_itself)

@@ -1,0 +1,52 @@
+"""What the service refuses, beside what the floors below refuse.
+
+GoniometerError
+└── ServiceError
+    ├── Conflict        what is asked for is not possible now; the message says why and what is possible
+    ├── Unauthorised    nobody knows who asks
+    ├── NotAllowed      who asks may not do this
+    ├── Outdated        it was changed since it was read
+    ├── TooLarge        more was sent than is read
+    ├── Misdirected     whoever asks calls the service by a name that it does not have
+    └── TooManyFailures logins failed, so that the next must wait
+
+Every message is one sentence that says what is wrong, where, and what would be right.
+"""
+
+from goniometer.errors import GoniometerError
+
+
+class ServiceError(GoniometerError):
+    """Base of what only the service refuses."""
+
+
+class Conflict(ServiceError):
+    """Not possible in the state in which the bench, the queue or a job is now."""
+
+
+class Unauthorised(ServiceError):
+    """Nobody knows who asks."""
+
+
+class NotAllowed(ServiceError):
+    """Who asks may not do this."""
+
+
+class Outdated(ServiceError):
+    """It was changed since whoever wants to change it has read it."""
+
+
+class TooLarge(ServiceError):
+    """More was sent than is read."""
+
+
+class Misdirected(ServiceError):
+    """Whoever asks calls the service by a name that it does not have."""
+
+
+class TooManyFailures(ServiceError):
+    """Logins failed so often that the next must wait for `seconds`."""
+
+    def __init__(self, message: str, seconds: float) -> None:
+        super().__init__(message)
+        self.seconds = seconds

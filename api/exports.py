@@ -1,0 +1,159 @@
+"""The formats in which a dataset leaves the house: one table of functions.
+
+A format is one row of `FORMATS`: what it holds, the ending of its file, who writes it, and which options it knows.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from analysis.bsdf_search import Budget
+from api.bluesky_documents import bluesky_lines
+from api.derive import Export, write_bytes, write_text
+from api.package import write_package
+from api.products import usual_path, write_fits, write_mitsuba
+from api.render import write_plugin_scene
+from goniometer.bird_json import bird_json
+from goniometer.bird_metadata import bird_metadata, read_about
+from goniometer.dataset import Dataset
+from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
+from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
+from goniometer.errors import InputError
+from goniometer.published_json import published_json
+from goniometer.store import Store
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a person may say of an export; each format knows some of it."""
+
+    raw: bool = False
+    """Whether all raw exposures are written as well."""
+    license: str | None = None
+    """SPDX identifier, one of `api.package_texts.LICENSES`."""
+    creators: tuple[str, ...] = ()
+    """Who made the data, "Family, Given" or an organisation."""
+    attached: tuple[Path, ...] = ()
+    """Files that belong to the sample: photographs, a topography."""
+    about: Path | None = None
+    """YAML or JSON file that says what no database knows, see `goniometer.bird_metadata`."""
+    model: str | None = None
+    """Name of the fitted model."""
+    budget: float = Budget.error
+    """Relative error of a table that 99 of 100 directions keep."""
+    colour_budget: float = Budget.colour
+    """The same of its CIEDE2000."""
+
+
+Write = Callable[[Store, int, Path, Options], Export]
+
+
+@dataclass(frozen=True)
+class Format:
+    """How a dataset is written in one format."""
+
+    about: str
+    """What the file holds, for the help of the command."""
+    ending: str
+    """Of the file, without a dot."""
+    write: Write
+    """Writes the dataset of an id to a path."""
+    uses: tuple[str, ...] = ()
+    """Names of the `Options` that it knows; another one is refused."""
+
+
+def _text(name: str, make: Callable[[Dataset], str]) -> Write:
+    """Writes the text that `make` gives of the dataset alone."""
+    return lambda store, dataset_id, path, _: write_text(name, path, make(store.dataset(dataset_id)))
+
+
+def _content(name: str, make: Callable[[Dataset], bytes]) -> Write:
+    """Writes the content that `make` gives of the dataset alone."""
+    return lambda store, dataset_id, path, _: write_bytes(name, path, make(store.dataset(dataset_id)))
+
+
+def _write_hdf5(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    raw = raw_of(store, dataset_id) if options.raw else None
+    return write_bytes("hdf5", path, dataset_to_hdf5(store.dataset(dataset_id), raw))
+
+
+def _write_paper(store: Store, dataset_id: int, path: Path, _: Options) -> Export:
+    text, notes = published_json(store.dataset(dataset_id))
+    return replace(write_text("paper", path, text), notes=tuple(notes))
+
+
+def _write_bird(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    said = {} if options.about is None else read_about(options.about)
+    metadata, unsaid = bird_metadata(store, dataset_id, said)
+    text, notes = bird_json(store.dataset(dataset_id), metadata)
+    return replace(write_text("bird", path, text), notes=(*notes, *unsaid))
+
+
+def _write_package(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    if options.license is None or not options.creators:
+        raise InputError(
+            'A package needs terms; state --license, e.g. CC-BY-4.0, and --creator "Family, Given" for everybody.'
+        )
+    said = {} if options.about is None else read_about(options.about)
+    terms = options.license, options.creators
+    return write_package(store, dataset_id, path, terms, said, options.attached)
+
+
+def _write_mitsuba(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
+    return write_mitsuba(store, dataset_id, path, options.model, Budget(options.budget, options.colour_budget))
+
+
+FORMATS: dict[str, Format] = {
+    "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
+    "hdf5": Format("the dataset with uncertainty, flags and lineage, NeXus-style", "h5", _write_hdf5, ("raw",)),
+    "csv": Format("the same, one value a row", "csv", _text("csv", dataset_to_csv)),
+    "parquet": Format("the same, for data frames", "parquet", _content("parquet", dataset_to_parquet)),
+    "paper": Format("the JSON of points of the paper's authors", "json", _write_paper),
+    "bird": Format("universal BRDF JSON of the BiRD project", "brdf", _write_bird, ("about",)),
+    "bluesky": Format(
+        "documents of bluesky's event model, one a line",
+        "jsonl",
+        lambda store, dataset_id, path, _: write_text("bluesky", path, bluesky_lines(store, dataset_id)),
+    ),
+    "package": Format(
+        "all of it as a zip or a folder that is ready to be published",
+        "zip",
+        _write_package,
+        ("license", "creators", "attached", "about"),
+    ),
+    "mitsuba": Format(
+        "a .bsdf file for Mitsuba 3 and PBRT, with a scene that shows it",
+        "bsdf",
+        _write_mitsuba,
+        ("model", "budget", "colour_budget"),
+    ),
+    "mitsuba-plugin": Format(
+        "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
+        "xml",
+        lambda store, dataset_id, path, _: write_plugin_scene(store, dataset_id, path),
+    ),
+}
+"""By the name that `goniometer export --to` takes."""
+
+
+_OPTION = {"creators": "--creator", "attached": "--attach"}
+"""Option of the command where it is not called as the field."""
+
+
+def export_dataset(
+    store: Store, dataset_id: int, to: str, path: Path | None = None, options: Options = Options()
+) -> Export:
+    """Write a dataset in the format `to` to `path` or the present folder, and note that in the database.
+
+    Raises `InputError` for an unknown format, and for options that it has no use for.
+    """
+    wanted = FORMATS.get(to)
+    if wanted is None:
+        raise InputError(f'There is no format "{to}"; there are {", ".join(FORMATS)}.')
+    said = [each.name for each in fields(options) if getattr(options, each.name) != each.default]
+    if needless := [name for name in said if name not in wanted.uses]:
+        names = ", ".join(_OPTION.get(name, f"--{name}") for name in needless)
+        raise InputError(f"An export to {to} has no use for {names}; leave it out.")
+    export = wanted.write(store, dataset_id, path or usual_path(store.dataset(dataset_id), wanted.ending), options)
+    store.add_export(dataset_id, export.path, export.file_format, export.sha256)
+    return export

@@ -1,0 +1,98 @@
+"""Reflectance distributions: the BRDF over the reflected angle, one curve an incident angle."""
+
+import numpy as np
+from pydantic import Field
+
+from analysis.colour import xyz_weights
+from analysis.figures import COVERAGE
+from analysis.filled_figure import at_nearest
+from analysis.noise import at_wavelength, weighted
+from api.views.body import Body, Number, numbers
+from api.views.opened import Opened
+from drivers.arrays import FloatArray
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.budget import nearest_wavelength
+from goniometer.dataset import Dataset
+from goniometer.fill import Filled
+
+
+class FilledCurve(Body):
+    """Directions that were not measured and can be told; never a measurement."""
+
+    theta_out_deg: list[float]
+    brdf: list[Number]
+    u: list[Number]
+
+
+class Distribution(Body):
+    """One incident angle; the lists run over its points by theta_out."""
+
+    theta_in_deg: float
+    points: list[int] = Field(description="Numbers of the points in the dataset.")
+    theta_out_deg: list[float]
+    brdf: list[Number] = Field(description="1/sr.")
+    u: list[Number] = Field(description="Combined standard uncertainty (k = 1), 1/sr.")
+    log10_brdf: list[Number] = Field(description="Null where the value is not positive.")
+    filled: FilledCurve | None
+
+
+class Distributions(Body):
+    """All incident angles of a dataset."""
+
+    dataset: int
+    wavelength_nm: float | None = Field(description="Null: as bright as the eye sees it under D65.")
+    coverage_factor: int = Field(description="By which bands are drawn; `u` itself has coverage factor 1.")
+    curves: list[Distribution]
+
+
+def distributions(opened: Opened, wavelength: float | None, filled: Filled | None) -> Distributions:
+    """The BRDF at a wavelength, nm, or its luminance under D65 for None, with what is `filled` at a wavelength.
+
+    Raises `InputError` for a wavelength beyond those measured, and `OutOfRange` where a luminance needs more of them.
+    """
+    dataset = opened.dataset
+    if wavelength is None:
+        f, u = _luminous(dataset)
+    else:
+        nearest_wavelength(dataset, wavelength)
+        f, u = at_wavelength(dataset, wavelength)
+    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
+    return Distributions(
+        dataset=opened.entry.id,
+        wavelength_nm=wavelength,
+        coverage_factor=COVERAGE,
+        curves=[
+            _curve(dataset, np.flatnonzero(groups == g), f, u, wavelength, filled) for g in range(int(groups.max()) + 1)
+        ],
+    )
+
+
+def _curve(
+    dataset: Dataset, members: np.ndarray, f: FloatArray, u: FloatArray, wavelength: float | None, filled: Filled | None
+) -> Distribution:
+    order = members[np.argsort(dataset.theta_out[members], kind="stable")]
+    angle, value = float(dataset.theta_in[members].mean()), f[order]
+    positive = np.where(value > 0, value, np.nan)
+    return Distribution(
+        theta_in_deg=angle,
+        points=order.tolist(),
+        theta_out_deg=dataset.theta_out[order].tolist(),
+        brdf=numbers(value),
+        u=numbers(u[order]),
+        log10_brdf=numbers(np.log10(positive)),
+        filled=None if filled is None or wavelength is None else _filled(filled, angle, wavelength),
+    )
+
+
+def _filled(filled: Filled, angle: float, wavelength: float) -> FilledCurve:
+    f, u = at_nearest(filled, wavelength)
+    chosen = np.flatnonzero((np.abs(filled.theta_in - angle) < SAME_INCIDENCE) & filled.tells)
+    chosen = chosen[np.argsort(filled.theta_out[chosen])]
+    return FilledCurve(theta_out_deg=filled.theta_out[chosen].tolist(), brdf=numbers(f[chosen]), u=numbers(u[chosen]))
+
+
+def _luminous(dataset: Dataset) -> tuple[FloatArray, FloatArray]:
+    """The BRDF for light of D65 as the eye weighs it [points], and its standard uncertainty, 1/sr."""
+    weights = xyz_weights(dataset.wavelengths)[:, 1]
+    seen = np.flatnonzero(weights != 0)
+    return weighted(dataset, slice(int(seen[0]), int(seen[-1]) + 1), weights[seen[0] : seen[-1] + 1])

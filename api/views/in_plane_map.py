@@ -1,0 +1,168 @@
+"""The in-plane map: every measured direction as a cell in its own colour, and what is known of the others."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from analysis.colour import brdf_to_xyz, has_colour
+from analysis.figures import cell_edges
+from analysis.filled_figure import at_nearest, filled_cells
+from analysis.noise import LEAST_SIGNAL_FOR_HUE, flag_words, hue_is_known
+from analysis.shown_colours import Exposure, exposure_of, shown_colours
+from api.views.body import Body, Number, number
+from api.views.listing import flag_names
+from api.views.opened import Opened
+from drivers.arrays import FloatArray
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.dataset import Dataset
+from goniometer.fill import TELLS, Filled
+from goniometer.geometry import BLOCKED_HALF_WIDTH
+from goniometer.sector import is_hidden
+
+SHOWN_AT = 600.0
+"""Wavelength, nm, at which hue and fillings are judged."""
+
+
+class Edges(Body):
+    """A rectangle of the map, degrees."""
+
+    left: float = Field(description="Smallest theta_out.")
+    right: float = Field(description="Largest theta_out.")
+    bottom: float = Field(description="Smallest theta_in.")
+    top: float = Field(description="Largest theta_in.")
+
+
+class MapCell(Body):
+    """A measured direction."""
+
+    point: int = Field(description="Number of the point in the dataset, from 0.")
+    theta_in_deg: float
+    theta_out_deg: float
+    edges: Edges = Field(description="What the cell covers: halfway to its neighbours.")
+    colour: str | None = Field(description="sRGB as #rrggbb under D65, exposed as `exposure` says; null: no colour.")
+    hue: str | None = Field(description="The same at one luminance for all; null where the hue is noise.")
+    luminance: Number = Field(description="Y under D65 of cos(theta_in) f; 1 is f cos(theta_in) = 1.")
+    flags: list[str]
+    flag_words: str = Field(description="What the flags mean; empty without any.")
+    # the field's own spelling
+    dE00: Number = Field(description="CIEDE2000 between measurement and `difference_model`.")  # noqa: N815
+
+
+class FilledCell(Body):
+    """A direction that was not measured, and what can be said of it."""
+
+    theta_in_deg: float
+    theta_out_deg: float
+    edges: Edges
+    by: Literal["reciprocity", "interpolation"]
+    colour: str | None
+    hue: str | None
+    brdf: Number = Field(description=f"At {SHOWN_AT:g} nm, 1/sr.")
+    u: Number = Field(description="Standard uncertainty (k = 1), 1/sr.")
+    points: list[int] = Field(description="Measured points that it comes from.")
+
+
+class InPlaneMap(Body):
+    """All cells of a dataset; theta_out goes to the right, theta_in up."""
+
+    dataset: int
+    sample: str
+    exposure: Number = Field(description="Linear RGB of f cos(theta_in) was multiplied by it; null: no colours.")
+    clipped: int = Field(description="Cells brighter than the display.")
+    difference_model: str | None = Field(description="The fit that `dE00` is of; null where there is none.")
+    cells: list[MapCell]
+    filled: list[FilledCell] = Field(description="Known well enough to say anything; never a measurement.")
+    not_filled: int = Field(description=f"Directions known to no better than {100 * TELLS:.0f} %, which are absent.")
+    blocked: list[Edges] = Field(description="Where the detector stands in the way of the source.")
+    blocked_half_width_deg: float
+
+
+def in_plane_map(opened: Opened, filled: Filled | None) -> InPlaneMap:
+    """The map of a dataset, with what is `filled` in it."""
+    dataset = opened.dataset
+    exposure = exposure_of(dataset) if has_colour(dataset.wavelengths) else None
+    measured = _colours(dataset.brdf, dataset.theta_in, dataset, exposure, hue_is_known(dataset, SHOWN_AT))
+    luminance = np.full(dataset.theta_in.size, np.nan)
+    if exposure is not None:
+        luminance = brdf_to_xyz(dataset.brdf, dataset.theta_in, dataset.wavelengths)[:, 1]
+    differences = opened.differences
+    off = np.full(luminance.size, np.nan) if differences is None else differences.absolute
+    edges = cell_edges(dataset)
+    cells = [
+        MapCell(
+            point=i,
+            theta_in_deg=float(dataset.theta_in[i]),
+            theta_out_deg=float(dataset.theta_out[i]),
+            edges=_edges(edges[i].tolist()),
+            colour=measured[0][i],
+            hue=measured[1][i],
+            luminance=number(luminance[i]),
+            flags=flag_names(int(dataset.flags[i])),
+            flag_words=flag_words(int(dataset.flags[i])),
+            dE00=number(off[i]),
+        )
+        for i in range(dataset.theta_in.size)
+    ]
+    return InPlaneMap(
+        dataset=opened.entry.id,
+        sample=dataset.sample,
+        exposure=None if exposure is None else exposure.factor,
+        clipped=0 if exposure is None else exposure.clipped,
+        difference_model=None if differences is None or opened.shift is None else opened.shift.model,
+        cells=cells,
+        filled=[] if filled is None else _filled(dataset, filled, exposure, edges),
+        not_filled=0 if filled is None else int(np.count_nonzero(~filled.tells)),
+        blocked=_blocked(dataset, edges),
+        blocked_half_width_deg=BLOCKED_HALF_WIDTH,
+    )
+
+
+def _colours(
+    brdf: FloatArray, theta_in: FloatArray, dataset: Dataset, exposure: Exposure | None, has_hue: np.ndarray
+) -> tuple[list[str | None], list[str | None]]:
+    """Colours as bright as they are, and at one luminance."""
+    if exposure is None:
+        return [None] * theta_in.size, [None] * theta_in.size
+    seen, hues = (shown_colours(brdf, theta_in, dataset.wavelengths, each, has_hue) for each in (exposure, None))
+    return seen, hues
+
+
+def _filled(dataset: Dataset, filled: Filled, exposure: Exposure | None, edges: FloatArray) -> list[FilledCell]:
+    f, u = at_nearest(filled, SHOWN_AT)
+    seen, hues = _colours(filled.brdf, filled.theta_in, dataset, exposure, f > LEAST_SIGNAL_FOR_HUE * u)
+    rows = sorted({(bottom, top) for _, _, bottom, top in edges.tolist()})
+    told = np.flatnonzero(filled.tells).tolist()
+    # one cell for each that tells anything, in their order
+    cells = filled_cells(filled, [""] * f.size, rows)
+    return [
+        FilledCell(
+            theta_in_deg=float(filled.theta_in[i]),
+            theta_out_deg=float(filled.theta_out[i]),
+            edges=_edges([cell.left, cell.right, cell.bottom, cell.top]),
+            by="reciprocity" if filled.by[i] == "reciprocity" else "interpolation",
+            colour=seen[i],
+            hue=hues[i],
+            brdf=number(f[i]),
+            u=number(u[i]),
+            points=list(filled.points[i]),
+        )
+        for i, cell in zip(told, cells, strict=True)
+    ]
+
+
+def _blocked(dataset: Dataset, edges: FloatArray) -> list[Edges]:
+    """The sectors of all incident angles that nobody saw."""
+    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
+    found = []
+    for g in range(int(groups.max()) + 1):
+        angle = float(dataset.theta_in[groups == g].mean())
+        if is_hidden(dataset, angle):
+            bottom, top = edges[groups == g][0, 2:].tolist()
+            found.append(_edges([-angle - BLOCKED_HALF_WIDTH, -angle + BLOCKED_HALF_WIDTH, bottom, top]))
+    return found
+
+
+def _edges(values: list[float]) -> Edges:
+    left, right, bottom, top = values
+    return Edges(left=left, right=right, bottom=bottom, top=top)

@@ -1,0 +1,115 @@
+"""Who asks, whether they may, and on which addresses the service may be offered at all."""
+
+import ipaddress
+import socket
+from dataclasses import dataclass
+from typing import Any, cast
+
+from fastapi import Depends, Request
+
+from api.accounts import Role, all_users, at_least
+from api.errors import NotAllowed, Unauthorised
+from api.tokens import Caller, session_caller, token_caller
+from goniometer.database import Database
+from goniometer.errors import ConfigurationError
+
+__all__ = ["LOCAL", "Access", "Caller", "caller_of", "check_listen", "cookie_name", "is_loopback", "needs"]
+
+
+@dataclass(frozen=True)
+class Access:
+    """How the service is reached."""
+
+    loopback: bool
+    """Only from this machine."""
+    secure: bool
+    """By https, here or at a proxy; cookies then go no other way."""
+    hosts: frozenset[str] = frozenset()
+    """Names under which it is known besides "localhost" and the machine's own; lower case."""
+
+    def answers_to(self, host: str) -> bool:
+        """Whether `host`, as a Host header has it, names this service.
+
+        A page of another site can make a name of its own lead here, but no number and none of ours.
+        """
+        name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
+        known = {"localhost", socket.gethostname().lower(), *self.hosts}
+        return name.lower() in known or _address(name) is not None
+
+
+LOCAL = Access(loopback=True, secure=False)
+"""On the loopback interface, by http."""
+
+
+def needs(role: Role) -> Any:
+    """The caller, who must have this role or a higher one; the parameter of an endpoint.
+
+    Raises `Unauthorised` where nobody knows who asks, and `NotAllowed` where they may not.
+    """
+
+    async def caller(request: Request) -> Caller:
+        known = cast(Caller | None, request.state.caller)  # as the gate has found it
+        if known is None:
+            raise Unauthorised("Nobody knows who asks; log in, or send a token as: Authorization: Bearer TOKEN")
+        if not at_least(known.role, role):
+            raise NotAllowed(f"This needs the role {role}, and {known.name} has the role {known.role} here")
+        return known
+
+    return Depends(caller)
+
+
+def caller_of(request: Request, store: Database, access: Access) -> Caller | None:
+    """Whom the token or the session of a request belongs to; None where it brings neither or the session has ended.
+
+    Raises `Unauthorised` for a token that is none, whatever session comes with it.
+    """
+    given = request.headers.get("authorization")
+    if given is not None:
+        scheme, _, token = given.partition(" ")
+        caller = token_caller(store, token.strip()) if scheme.lower() == "bearer" else None
+        if caller is None:
+            raise Unauthorised("This token opens nothing here: it was revoked, has expired, or never was one")
+        return caller
+    session = request.cookies.get(cookie_name(access))
+    return None if session is None else session_caller(store, session)
+
+
+def cookie_name(access: Access) -> str:
+    """Name of the session's cookie; a browser takes one of the first form only by https, from this very host."""
+    return "__Host-goniometer" if access.secure else "goniometer"
+
+
+def check_listen(
+    host: str, store: Database, *, tls: bool = False, behind_proxy: bool = False, hosts: tuple[str, ...] = ()
+) -> Access:
+    """How the service may be reached when it listens on `host`.
+
+    `tls`: it has a certificate; `behind_proxy`: something in front of it has, and nobody comes past it; `hosts`: names
+    under which it is known. Raises `ConfigurationError` where others than this machine could reach it although nobody
+    could log in, or where passwords would cross the network readably.
+    """
+    local = is_loopback(host) and not behind_proxy
+    if not local and not any(user.has_password and not user.disabled for user in all_users(store)):
+        raise ConfigurationError(
+            f"{host} can be reached from other machines, and there is no user who could log in; "
+            f"add one with: goniometer user add NAME --role admin"
+        )
+    if not local and not (tls or behind_proxy):
+        raise ConfigurationError(
+            f"On {host} passwords and tokens would cross the network readably; give --tls-cert and --tls-key, or "
+            f"--behind-proxy where a proxy in front of it speaks https"
+        )
+    return Access(local, tls or behind_proxy, frozenset(map(str.lower, hosts)))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address to listen on can be reached from this machine only."""
+    address = _address(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
+
+
+def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None

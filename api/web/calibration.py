@@ -1,0 +1,138 @@
+"""What calibrates: certificates of white panels, scans of the reference, and what the bench knows of itself."""
+
+import json
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Path, Query
+from pydantic import BaseModel, Field
+
+from api.certificates import (
+    Known,
+    add_certificate,
+    curve_of,
+    is_valid,
+    known_certificate,
+    known_certificates,
+    wavelengths_of,
+)
+from api.job_arguments import RecalibrateArguments, RecalibrationAsked
+from api.views.calibration import Reference, reference_view
+from api.views.jobs import JobView
+from api.web.access import Caller, needs
+from api.web.context import Here, Number
+from api.web.jobs import submit
+from api.web.paging import After, Page, after_number, page
+
+router = APIRouter(prefix="/api", tags=["calibration"])
+
+Viewer = Annotated[Caller, needs("viewer")]
+Metrologist = Annotated[Caller, needs("metrologist")]
+
+_LARGEST = 4_000_000
+_PAGE = 10
+
+
+class CertificateRow(BaseModel):
+    """A certificate of a white panel."""
+
+    sha256: str = Field(description="Of its text; by this it is known.")
+    name: str = Field(description="Of its file, or what used it first.")
+    serial_number: str = Field(description="Of the panel.")
+    calibrated: str | None = Field(description="Day of calibration; null of nominal values.")
+    valid_until: str | None = Field(description="Last day on which the laboratory stands by it.")
+    valid_today: bool
+    wavelengths_nm: tuple[float, float] = Field(description="Shortest and longest certified wavelength, nm.")
+    kind: str = Field(description='"reflectance" (8 degrees into the hemisphere) or "brdf" (a table of directions).')
+    who: str | None = Field(description="Who handed it in; null where it came with a campaign or a dataset.")
+    created: str = Field(description="ISO 8601, UTC.")
+
+
+class CertificateView(CertificateRow):
+    """A certificate with what it certifies."""
+
+    text: str = Field(description="The CSV file.")
+    wavelength_nm: list[float] = Field(description="Empty of a table of directions.")
+    reflectance: list[float] = Field(description="8 degrees into the hemisphere, 0 to 1.")
+    u_reflectance: list[float] = Field(description="Standard uncertainty (k = 1).")
+
+
+class CharacterisationView(BaseModel):
+    """A measurement of the bench itself."""
+
+    id: int
+    kind: str = Field(examples=["signature"])
+    created: str = Field(description="ISO 8601, UTC.")
+    content: dict[str, Any] = Field(description="As `goniometer characterise --json` prints it.")
+
+
+@router.get("/certificates")
+def certificates(live: Here, caller: Viewer) -> list[CertificateRow]:
+    """All certificates that were handed in, or used by a campaign or a dataset, newest first."""
+    return [CertificateRow(**_row(known)) for known in known_certificates(live.store)]
+
+
+@router.post("/certificates", status_code=201)
+def hand_in(
+    text: Annotated[str, Body(media_type="text/csv", max_length=_LARGEST, description="The CSV file.")],
+    live: Here,
+    caller: Metrologist,
+    name: Annotated[str, Query(min_length=1, max_length=120, description="Of the file.", examples=["panel.csv"])],
+) -> CertificateView:
+    """Hand in a certificate; one that is known already stays as it is."""
+    return _view(add_certificate(live.store, name, text, caller.name))
+
+
+@router.get("/certificates/{sha256}")
+def certificate(
+    sha256: Annotated[str, Path(pattern="^[0-9a-f]{64}$", description="Of its text.")], live: Here, caller: Viewer
+) -> CertificateView:
+    """A certificate with what it certifies."""
+    return _view(known_certificate(live.store, sha256))
+
+
+@router.get("/references")
+def references(live: Here, caller: Viewer, after: After = None) -> Page[Reference]:
+    """Scans of the reference panel, newest first, with how the lamp drifted in each."""
+    before = None if after is None else after_number(after)
+    scans = [scan for scan in reversed(live.store.scans()) if scan.kind == "reference" and scan.started is not None]
+    rows = [scan for scan in sorted(scans, key=lambda scan: -scan.id) if before is None or scan.id < before]
+    return page(rows[: _PAGE + 1], _PAGE, lambda scan: reference_view(live.store, scan), lambda scan: scan.id)
+
+
+@router.get("/characterisations")
+def characterisations(live: Here, caller: Viewer) -> list[CharacterisationView]:
+    """What was measured of the bench itself, newest first."""
+    return [
+        CharacterisationView(id=each.id, kind=each.kind, created=each.created, content=json.loads(each.json))
+        for each in reversed(live.store.characterisations())
+    ]
+
+
+@router.post("/datasets/{number}/recalibrate", status_code=202)
+def recalibrate(number: Number, asked: RecalibrationAsked, live: Here, caller: Metrologist) -> JobView:
+    """Calibrate the raw data of a dataset anew; the older dataset stays."""
+    return submit(live, caller, "recalibrate", RecalibrateArguments(dataset=number, **asked.model_dump()))
+
+
+def _row(known: Known) -> dict[str, Any]:
+    panel = known.panel
+    return {
+        "sha256": known.sha256,
+        "name": known.name,
+        "serial_number": panel.serial_number,
+        "calibrated": None if panel.calibrated is None else panel.calibrated.isoformat(),
+        "valid_until": None if panel.valid_until is None else panel.valid_until.isoformat(),
+        "valid_today": is_valid(panel, datetime.now(UTC).date()),
+        "wavelengths_nm": wavelengths_of(panel),
+        "kind": "brdf" if curve_of(panel) is None else "reflectance",
+        "who": known.who,
+        "created": known.created,
+    }
+
+
+def _view(known: Known) -> CertificateView:
+    wavelengths, values, u = curve_of(known.panel) or ([], [], [])
+    return CertificateView(
+        **_row(known), text=known.text, wavelength_nm=wavelengths, reflectance=values, u_reflectance=u
+    )

@@ -1,0 +1,155 @@
+"""Datasets: lists of them, and everything that a person is shown of one."""
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+
+from api.views import curves, in_plane_map, ladder, lineage, listing, quality, slopes, spectra
+from api.web.access import Caller, needs
+from api.web.context import Here, Number
+from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
+from api.web.shown import shown
+from goniometer.catalogue import Order, Wanted
+from goniometer.dataset import Kind
+from goniometer.errors import InputError
+
+router = APIRouter(prefix="/api/datasets", tags=["datasets"])
+
+Viewer = Annotated[Caller, needs("viewer")]
+Time = Annotated[str | None, Query(pattern=r"^\d{4}-\d\d-\d\d([T ][\d:.+-]{1,24}Z?)?$", examples=["2026-01-31"])]
+Degrees = Annotated[float | None, Query(ge=-90, le=90, description="Degrees.")]
+Nanometres = Annotated[float | None, Query(gt=0, lt=1e5, description="nm")]
+OCTETS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+@router.get("")
+def datasets(
+    live: Here,
+    caller: Viewer,
+    sample: Annotated[str | None, Query(max_length=200, description="Only of this sample.")] = None,
+    campaign: Annotated[int | None, Query(ge=1, lt=2**63, description="Only of this campaign.")] = None,
+    kind: Kind | None = None,
+    flag: Annotated[str | None, Query(max_length=40, description="Only those with a point of this flag.")] = None,
+    since: Time = None,
+    until: Time = None,
+    order: Order = "newest",
+    limit: Limit = DEFAULT_LIMIT,
+    after: After = None,
+) -> Page[listing.DatasetRow]:
+    """All datasets, or those that are asked for."""
+    if flag is not None and flag not in listing.FLAG_NAMES:
+        raise InputError(f'flag: there is no flag "{flag}"; there are {", ".join(listing.FLAG_NAMES)}.')
+    wanted = Wanted(sample, campaign, kind, None if flag is None else listing.FLAG_NAMES[flag], since, until)
+    rows = live.store.entries(wanted, limit + 1, None if after is None else after_number(after), order)
+    return page(rows, limit, listing.row, lambda entry: entry.id)
+
+
+@router.get("/{number}", response_model=listing.DatasetDetail)
+def dataset(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
+    """A dataset as it opens."""
+    return shown(request, live, number, listing.detail)
+
+
+@router.get("/{number}/map", response_model=in_plane_map.InPlaneMap)
+def colour_map(
+    number: Number,
+    request: Request,
+    live: Here,
+    caller: Viewer,
+    filled: Annotated[bool, Query(description="Tell what was not measured, too; takes longer the first time.")] = True,
+) -> Response:
+    """The in-plane map: every measured direction as a cell in its own colour."""
+    return shown(
+        request,
+        live,
+        number,
+        lambda opened: in_plane_map.in_plane_map(opened, live.datasets.filled(opened) if filled else None),
+        filled,
+    )
+
+
+@router.get("/{number}/points/{point}", response_model=spectra.PointSpectrum)
+def point(
+    number: Number,
+    point: Annotated[int, Path(ge=0, lt=2**31, description="Number of the point in the dataset, from 0.")],
+    request: Request,
+    live: Here,
+    caller: Viewer,
+) -> Response:
+    """The spectrum of a point with its uncertainty, its fits and its flags."""
+    return shown(request, live, number, lambda opened: spectra.point_spectrum(live.store, opened, point), point)
+
+
+@router.get("/{number}/slopes", response_model=slopes.Slopes)
+def slopes_of(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
+    """How the colour changes with direction: slopes of the spectra and of the models."""
+    return shown(request, live, number, slopes.slopes)
+
+
+@router.get("/{number}/distributions", response_model=curves.Distributions)
+def distributions(
+    number: Number,
+    request: Request,
+    live: Here,
+    caller: Viewer,
+    quantity: Annotated[
+        Literal["wavelength", "luminance"], Query(description="The BRDF at a wavelength, or as the eye weighs it.")
+    ] = "wavelength",
+    wavelength: Annotated[float, Query(gt=0, lt=1e5, description="nm")] = in_plane_map.SHOWN_AT,
+    filled: Annotated[bool, Query(description="Tell what was not measured, too.")] = True,
+) -> Response:
+    """The BRDF over the reflected angle, one curve an incident angle."""
+    at = wavelength if quantity == "wavelength" else None
+    return shown(
+        request,
+        live,
+        number,
+        lambda opened: curves.distributions(opened, at, live.datasets.filled(opened) if filled else None),
+        at,
+        filled,
+    )
+
+
+@router.get("/{number}/models", response_model=ladder.Ladder)
+def models(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
+    """The newest fit of every model, simplest first, with what it costs, its error and its verdict."""
+    return shown(request, live, number, ladder.ladder)
+
+
+@router.get("/{number}/checks", response_model=quality.Checks)
+def checks(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
+    """Sanity checks and flags."""
+    return shown(request, live, number, lambda opened: quality.checks(live.store, opened))
+
+
+@router.get("/{number}/budget", response_model=quality.UncertaintyBudget)
+def budget(
+    number: Number,
+    request: Request,
+    live: Here,
+    caller: Viewer,
+    theta_in: Degrees = None,
+    theta_out: Degrees = None,
+    wavelength: Nanometres = None,
+) -> Response:
+    """The uncertainty budget of the value nearest to a direction; without one, of the mirror direction near 45 deg."""
+    at = theta_in, theta_out, wavelength
+    return shown(request, live, number, lambda opened: quality.uncertainty_budget(opened, *at), *at)
+
+
+@router.get("/{number}/lineage")
+def lineage_of(number: Number, live: Here, caller: Viewer) -> lineage.Lineage:
+    """Where it comes from, and what was made of it."""
+    return lineage.lineage(live.store, live.datasets.open(number))
+
+
+@router.get("/{number}/spectra", response_class=Response, responses=OCTETS)
+def all_spectra(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
+    """All spectra as little-endian numbers: two uint32, points P and wavelengths W; then float64.
+
+    W wavelengths (nm), P theta_in, P theta_out (degrees), P x W BRDF, P x W combined standard uncertainty (k = 1),
+    both in 1/sr; NaN where there is no value.
+    """
+    return shown(request, live, number, lambda opened: spectra.packed_spectra(opened.dataset))

@@ -1,0 +1,73 @@
+"""What was measured elsewhere: a file is sent first, and then a job makes a dataset of it."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
+
+from api.errors import TooLarge
+from api.job_arguments import ImportAsked
+from api.uploads import LARGEST, new_upload, uploaded
+from api.views.jobs import JobView
+from api.web.access import Caller, needs
+from api.web.context import Here
+from api.web.jobs import submit
+from goniometer.errors import InputError
+
+router = APIRouter(prefix="/api", tags=["imports"])
+
+Operator = Annotated[Caller, needs("operator")]
+
+
+class Upload(BaseModel):
+    """A file that was sent."""
+
+    upload: str = Field(description="By what a job is told of it.")
+    name: str
+    size: int = Field(description="Bytes.")
+
+
+@router.post(
+    "/uploads",
+    status_code=201,
+    max_body_size=2 * LARGEST,  # the limit that tells what to do comes first
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        }
+    },
+)
+async def upload(
+    request: Request,
+    live: Here,
+    caller: Operator,
+    name: Annotated[str, Query(min_length=1, max_length=120, description="Of the file.", examples=["sample.csv"])],
+) -> Upload:
+    """Send a file, as it is, to be imported; it is kept until some 50 later ones have come."""
+    token, path = await run_in_threadpool(new_upload, live.output, name)
+    request.state.about["file"] = name
+    size = 0
+    with path.open("wb") as file:
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > LARGEST:
+                break
+            await run_in_threadpool(file.write, chunk)
+    if 0 < size <= LARGEST:
+        return Upload(upload=token, name=name, size=size)
+    path.unlink()
+    path.parent.rmdir()
+    if size == 0:
+        raise InputError(f"{name}: nothing was sent; send the content of the file as the body of the request.")
+    raise TooLarge(f"{name} is larger than {LARGEST // 2**20} MiB; import it on the command line of the machine")
+
+
+@router.post("/datasets/import", status_code=202)
+def import_file(asked: ImportAsked, live: Here, caller: Operator) -> JobView:
+    """Make a dataset of what was uploaded; what the file does not say, whoever asks states."""
+    for token in (asked.upload, asked.reference, asked.certificate, asked.darks):
+        if token is not None:
+            uploaded(live.output, token)
+    return submit(live, caller, "import", asked)

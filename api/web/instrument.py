@@ -1,0 +1,193 @@
+"""The bench: what it does, and what operators let it do."""
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Response
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from api.state import BenchState, Snapshot
+from api.web.access import Caller, needs
+from api.web.context import Here
+from goniometer.errors import NotInStore
+
+router = APIRouter(prefix="/api/instrument", tags=["instrument"])
+
+Viewer = Annotated[Caller, needs("viewer")]
+Operator = Annotated[Caller, needs("operator")]
+BINARY = "application/octet-stream"
+Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+
+
+class _Order(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Jog(_Order):
+    """Where to turn the stages: each by its own angle, or the arm by directions."""
+
+    sample: Angle | None = Field(default=None, description="Of the sample stage, degrees; null leaves it.")
+    detector: Angle | None = Field(
+        default=None, description="Of the detector stage from the source axis, degrees; null leaves it."
+    )
+    theta_in: Angle | None = Field(default=None, description="Incident angle, degrees; needs theta_out.", examples=[30])
+    theta_out: Angle | None = Field(default=None, description="Reflected angle, degrees, signed.", examples=[-10])
+
+    @model_validator(mode="after")
+    def _is_one_of_both(self) -> "Jog":
+        stages = self.sample is not None or self.detector is not None
+        if (self.theta_in is None) != (self.theta_out is None):
+            raise ValueError("theta_in and theta_out belong together: give both")
+        if stages == (self.theta_in is not None):
+            raise ValueError("give sample or detector, or theta_in and theta_out")
+        return self
+
+    @property
+    def standing(self) -> tuple[float | None, float | None]:
+        """Angles of the sample and the detector stage, degrees."""
+        if self.theta_in is None or self.theta_out is None:
+            return self.sample, self.detector
+        return self.theta_in, self.theta_in + self.theta_out
+
+
+class Expose(_Order):
+    """A spectrum that is shown and not kept."""
+
+    integration_time: float = Field(gt=0, le=3600, allow_inf_nan=False, description="Seconds.", examples=[0.1])
+    dark: bool = Field(default=False, description="Whether the shutter is closed.")
+
+
+class Doctor(_Order):
+    """How the devices are examined."""
+
+    home: bool = Field(default=False, description="Home stages that do not know their reference; look before.")
+
+
+class Figure(BaseModel):
+    """Something that was read."""
+
+    name: str
+    value: float
+    unit: str
+
+
+class Finding(BaseModel):
+    """What was found about one device."""
+
+    device: str
+    identity: str
+    figures: list[Figure]
+    remarks: list[str] = Field(description="What could not be examined; no fault.")
+    problems: list[str] = Field(description="What is wrong and what to do; empty for a device that is fine.")
+    line: str = Field(description="All of it in one line.")
+
+
+class Spectrum(BaseModel):
+    """The last spectrum that was read."""
+
+    number: int = Field(description="The device's running number.")
+    wavelengths: list[float] = Field(description="[pixels] nanometres.")
+    counts: list[int] = Field(description="[pixels] raw counts.")
+    integration_time: float = Field(description="Seconds.")
+    saturation: int = Field(description="Counts at and above which a pixel is saturated.")
+    shutter: Literal["open", "closed", "unknown"]
+    theta_in: float | None = Field(description="Where the arm stood, degrees.")
+    theta_out: float | None
+    detector_temperature: float = Field(description="Degrees Celsius.")
+    moment: str = Field(description="ISO 8601, UTC.")
+
+
+class Moment(BaseModel):
+    """What was read of the bench at some moment."""
+
+    moment: str = Field(description="ISO 8601, UTC.")
+    detector_temperature: float | None = Field(description="Degrees Celsius.")
+    lamp_on_for: float | None = Field(description="Seconds.")
+
+
+@router.get("")
+async def state(live: Here, caller: Viewer) -> BenchState:
+    """What the bench is and does now."""
+    return live.worker.state
+
+
+@router.post("/connect")
+async def connect(live: Here, caller: Operator) -> BenchState:
+    """Open all devices, switch the lamp on and find the reference marks: look before, the stages turn.
+
+    Answers when that is done; a warm detector takes minutes to cool. Nothing happens where it is done already.
+    """
+    await live.worker.call("connect")
+    return live.worker.state
+
+
+@router.post("/disconnect")
+async def disconnect(live: Here, caller: Operator) -> BenchState:
+    """Stop the stages, close the shutter and let go of all devices."""
+    await live.worker.call("disconnect")
+    return live.worker.state
+
+
+@router.post("/home")
+async def home(live: Here, caller: Operator) -> BenchState:
+    """Find both reference marks again; answers when they are found."""
+    await live.worker.call("home")
+    return live.worker.state
+
+
+@router.post("/jog")
+async def jog(live: Here, caller: Operator, order: Jog) -> BenchState:
+    """Turn the stages; answers when they rest."""
+    sample, detector = order.standing
+    await live.worker.call("jog", sample=sample, detector=detector)
+    return live.worker.state
+
+
+@router.post("/expose")
+async def expose(live: Here, caller: Operator, order: Expose) -> BenchState:
+    """Read a spectrum, which `spectrum` shows then; answers when it is read."""
+    await live.worker.call("expose", integration_time=order.integration_time, dark=order.dark)
+    return live.worker.state
+
+
+@router.post("/stop")
+async def stop(live: Here, caller: Operator) -> BenchState:
+    """Stop the stages and close the shutter at once, whatever the bench does and whichever service drives it.
+
+    A campaign that runs is aborted, and goes on where it stood when it is started again; nothing that is queued begins
+    before somebody starts it. Answers when the stages rest.
+    """
+    await live.worker.stop()
+    return live.worker.state
+
+
+@router.post("/doctor")
+async def doctor(live: Here, caller: Operator, order: Doctor) -> list[Finding]:
+    """Examine every device of a bench that is not connected; answers when that is done, after minutes perhaps."""
+    return [Finding(**finding) for finding in await live.worker.call("doctor", home=order.home)]
+
+
+@router.get("/spectrum", responses={200: {"model": Spectrum, "content": {BINARY: {"schema": {"type": "string"}}}}})
+async def spectrum(
+    live: Here, caller: Viewer, accept: Annotated[str, Header(include_in_schema=False)] = ""
+) -> Response:
+    """The last spectrum; as octets, it is the wavelengths and then the counts as little-endian float64."""
+    seen = live.worker.snapshot
+    if seen is None:
+        raise NotInStore("No spectrum was read since the service was started; connect the bench and expose")
+    tag = f'"{seen.number}-{seen.moment}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept"}
+    if BINARY in accept:
+        content = seen.wavelengths.astype("<f8").tobytes() + seen.counts.astype("<f8").tobytes()
+        return Response(content, media_type=BINARY, headers=headers)
+    return Response(_shown(seen).model_dump_json(), media_type="application/json", headers=headers)
+
+
+@router.get("/history")
+async def history(live: Here, caller: Viewer) -> list[Moment]:
+    """Cooler and lamp in the last hour, oldest first."""
+    return [Moment(**vars(past)) for past in live.worker.past]
+
+
+def _shown(seen: Snapshot) -> Spectrum:
+    known: dict[str, Any] = vars(seen) | {"wavelengths": seen.wavelengths.tolist(), "counts": seen.counts.tolist()}
+    return Spectrum(**known)

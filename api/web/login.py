@@ -1,0 +1,137 @@
+"""Coming in and going out: with a password or a token, to a session that the browser keeps in a cookie."""
+
+from typing import Annotated, Any, Self
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
+from starlette.concurrency import run_in_threadpool
+
+from api.accounts import LONGEST_PASSWORD, Role, all_users, check_password, set_password
+from api.errors import TooManyFailures, Unauthorised
+from api.throttle import count_try, forgive
+from api.tokens import OLD, Caller, begin_session, csrf_token, end_session, token_caller
+from api.web.access import Access, cookie_name, needs
+from api.web.context import Here
+from goniometer.database import Database
+
+router = APIRouter(prefix="/api", tags=["access"])
+
+_CROWD = 20
+"""Logins that may wait for their turn."""
+
+
+class Login(BaseModel):
+    """Either a name and its password, or a token."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"name": "anna", "password": "a long one of hers"}, {"token": "gonio_..."}]},
+    )
+
+    name: str | None = Field(default=None, max_length=64)
+    password: SecretStr | None = Field(default=None, max_length=LONGEST_PASSWORD)
+    token: SecretStr | None = Field(default=None, max_length=200)
+
+    @model_validator(mode="after")
+    def _is_one_of_both(self) -> Self:
+        if (self.name is None) != (self.password is None) or (self.name is None) == (self.token is None):
+            raise ValueError("give either name and password, or token")
+        return self
+
+
+class Me(BaseModel):
+    """Who asks."""
+
+    name: str
+    role: Role = Field(description="What they may do with what they have shown.")
+    via: str = Field(description='"session" or "token".', examples=["session"])
+    csrf: str | None = Field(
+        description="What to send as X-CSRF-Token with everything but reading; null where a token is sent."
+    )
+
+
+class NewPassword(BaseModel):
+    """Another password of one's own."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    current_password: SecretStr = Field(max_length=LONGEST_PASSWORD)
+    password: SecretStr = Field(max_length=LONGEST_PASSWORD, description="The one that is to hold from now on.")
+
+
+@router.post("/login")
+async def login(request: Request, response: Response, live: Here, given: Login) -> Me:
+    """Begin a session, whose secret comes as a cookie that pages cannot read.
+
+    A page that was opened with a token in its address exchanges it here. Logins that fail make the next ones wait
+    (429, `Retry-After`).
+    """
+    request.state.caller = None  # whoever was logged in before is not who fails now
+    caller = await _in_turn(request, live.store, given)
+    request.state.caller = caller
+    old = request.cookies.get(cookie_name(request.app.state.access))
+    secret = await run_in_threadpool(begin_session, live.store, caller.name, caller.token_id, old)
+    response.set_cookie(value=secret, max_age=int(OLD.total_seconds()), **_cookie(request.app.state.access))
+    response.headers["Cache-Control"] = "no-store"
+    return Me(name=caller.name, role=caller.role, via="session", csrf=csrf_token(secret))
+
+
+@router.post("/logout", status_code=204)
+def logout(request: Request, response: Response, live: Here, caller: Annotated[Caller, needs("viewer")]) -> None:
+    """End the session; a token stays what it is."""
+    if caller.via == "session":
+        end_session(live.store, request.cookies[cookie_name(request.app.state.access)])
+    response.delete_cookie(**_cookie(request.app.state.access))
+
+
+@router.get("/me")
+def me(request: Request, response: Response, caller: Annotated[Caller, needs("viewer")]) -> Me:
+    """Who asks, and what they may do."""
+    response.headers["Cache-Control"] = "no-store"
+    session = request.cookies.get(cookie_name(request.app.state.access)) if caller.via == "session" else None
+    csrf = None if session is None else csrf_token(session)
+    return Me(name=caller.name, role=caller.role, via=caller.via, csrf=csrf)
+
+
+@router.post("/me/password", status_code=204)
+async def change_password(
+    request: Request, live: Here, given: NewPassword, caller: Annotated[Caller, needs("viewer")]
+) -> None:
+    """Take another password; all one's sessions end, this one too."""
+    await _in_turn(request, live.store, Login(name=caller.name, password=given.current_password))
+    await run_in_threadpool(set_password, live.store, caller.name, given.password.get_secret_value())
+
+
+async def _in_turn(request: Request, store: Database, given: Login) -> Caller:
+    """`_known` with few others at a time: each takes 64 MB and a core, and a crowd must not slow down the bench."""
+    limiter: CapacityLimiter = request.app.state.logins
+    if limiter.statistics().tasks_waiting >= _CROWD:
+        raise TooManyFailures("Too many log in at once; try again in a few seconds", 5.0)
+    return await to_thread.run_sync(_known, request, store, given, limiter=limiter)
+
+
+def _known(request: Request, store: Database, given: Login) -> Caller:
+    """Who has given this; raises `Unauthorised`, the same whatever is wrong, and `TooManyFailures`."""
+    address = request.client.host if request.client else ""
+    name = (given.name or "").strip().lower()
+    count_try(store, name, address)
+    if given.token is not None:
+        request.state.about["login"] = "token"
+        caller = token_caller(store, given.token.get_secret_value())
+        wrong = "This token opens nothing here: it was revoked, has expired, or never was one"
+    else:
+        assert given.password is not None  # the model has made sure
+        # what is typed as a name may be a password, so the log only holds names that there are
+        request.state.about["login"] = name if any(u.name == name for u in all_users(store)) else "an unknown name"
+        user = check_password(store, name, given.password.get_secret_value())
+        caller = None if user is None else Caller(user.name, user.role)
+        wrong = "Nobody with this name and this password may come in"
+    if caller is None:
+        raise Unauthorised(wrong)
+    forgive(store, name, address)
+    return caller
+
+
+def _cookie(access: Access) -> dict[str, Any]:
+    return {"key": cookie_name(access), "path": "/", "httponly": True, "samesite": "strict", "secure": access.secure}

@@ -1,0 +1,38 @@
+"""Whether the service lives, what it counts, and what it is."""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+
+from api.web.access import Caller, needs
+from api.web.context import Here
+from goniometer.derived import software_version
+
+router = APIRouter(tags=["operation"])
+
+
+class Health(BaseModel):
+    """That the service answers and reaches its database."""
+
+    status: Literal["ok"]
+
+
+class About(BaseModel):
+    """What this service is."""
+
+    version: str = Field(description="Of this program.")
+    simulated: bool = Field(description="Whether the bench is the simulated one.")
+
+
+@router.get("/health")
+def health(live: Here) -> Health:
+    """Answers as soon as the database does."""
+    live.store.campaigns()
+    return Health(status="ok")
+
+
+@router.get("/api/about")
+def about(live: Here, caller: Annotated[Caller, needs("viewer")]) -> About:
+    """What this service is, and which bench it drives."""
+    return About(version=software_version(), simulated=live.settings is None)

@@ -1,0 +1,177 @@
+"""The queue: which campaigns are measured, in which order, and what a running one shall do."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+
+from api import queue
+from api.errors import Conflict
+from api.live import Live
+from api.queue_view import EntryView, entry_view
+from api.service import ACTIVE_PHASES
+from api.state import BenchState
+from api.web.access import Caller, needs
+from api.web.campaigns import checked
+from api.web.context import Here, Number
+from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
+from goniometer.errors import NotInStore
+from goniometer.records import Command
+
+router = APIRouter(prefix="/api/queue", tags=["queue"])
+
+Viewer = Annotated[Caller, needs("viewer")]
+Operator = Annotated[Caller, needs("operator")]
+
+
+class _Order(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Order(_Order):
+    """A campaign that is to be measured."""
+
+    campaign: str | dict[str, Any] = Field(
+        description="As YAML text, or as an object, as docs/campaign.yaml explains it.",
+        examples=[{"name": "First light", "samples": [{"name": "Sample 1", "material": "sample-1"}]}],
+    )
+    start_after: AwareDatetime | None = Field(
+        default=None, description="It is started now, and begins in its turn once this moment has come."
+    )
+
+
+class Place(_Order):
+    """Where an entry shall stand."""
+
+    position: int = Field(ge=1, le=1_000_000, description="Counted from 1; beyond the end is the end.")
+
+
+class Mounted(_Order):
+    """What lies on the bench now."""
+
+    scan: int | None = Field(
+        default=None, ge=1, lt=2**63, description="Of the prompt that is answered; null: whichever."
+    )
+
+
+@router.get("")
+def entries(
+    live: Here,
+    caller: Viewer,
+    finished: Annotated[
+        bool, Query(description="Those that are finished, newest first, instead of the others.")
+    ] = False,
+    limit: Limit = DEFAULT_LIMIT,
+    after: After = None,
+) -> Page[EntryView]:
+    """What is to be measured, in its order; or what was."""
+    if finished:
+        before = None if after is None else after_number(after)
+        rows = queue.finished_entries(live.store, before, limit + 1)
+        return page(rows, limit, lambda row: _view(live, row), lambda row: row.id)
+    start = after_number(after)
+    rows = [row for row in queue.entries(live.store) if row.position > start][: limit + 1]
+    return page(rows, limit, lambda row: _view(live, row), lambda row: row.position)
+
+
+@router.post("", status_code=201)
+def add(live: Here, caller: Operator, order: Order) -> EntryView:
+    """Append a campaign. It is measured once it is started, or after `start_after`."""
+    campaign = checked(order.campaign, live)
+    return _changed(live, queue.add_entry(live.store, campaign, caller.name, order.start_after))
+
+
+@router.get("/{number}")
+def entry(live: Here, response: Response, caller: Viewer, number: Number) -> EntryView:
+    """One entry."""
+    found = queue.entry(live.store, number)
+    response.headers["ETag"] = etag(found)
+    return _view(live, found)
+
+
+@router.patch("/{number}")
+def move(request: Request, live: Here, caller: Operator, number: Number, place: Place) -> EntryView:
+    """Put an entry at another place; what is running goes on."""
+    check_match(request, etag(queue.entry(live.store, number)))
+    return _changed(live, queue.move_entry(live.store, number, place.position))
+
+
+@router.delete("/{number}", status_code=204)
+def remove(request: Request, live: Here, caller: Operator, number: Number) -> None:
+    """Forget an entry; what was measured stays."""
+    check_match(request, etag(queue.entry(live.store, number)))
+    queue.remove_entry(live.store, number)
+    live.events.publish("queue", {"entry": number})
+
+
+@router.post("/{number}/start")
+def start(live: Here, caller: Operator, number: Number) -> EntryView:
+    """Let an entry run when its turn comes; one that was aborted or failed goes on where it stood."""
+    return _changed(live, queue.start_entry(live.store, number))
+
+
+@router.post("/{number}/pause")
+def pause(live: Here, caller: Operator, number: Number) -> EntryView:
+    """Let a running entry pause after the point in hand; `pause_takes_effect` says when."""
+    return _request(live, number, "pause")
+
+
+@router.post("/{number}/resume")
+def resume(live: Here, caller: Operator, number: Number) -> EntryView:
+    """Let a paused entry go on; nothing happens where it is not paused."""
+    return _request(live, number, "resume")
+
+
+@router.post("/{number}/abort")
+def abort(live: Here, caller: Operator, number: Number) -> EntryView:
+    """End a running entry at once, with all that is measured kept; one that is queued waits to be started again."""
+    if queue.entry(live.store, number).phase == "queued":
+        return _changed(live, queue.unqueue(live.store, number))
+    return _request(live, number, "abort")
+
+
+@router.post("/{number}/mounted")
+async def mounted(live: Here, caller: Operator, number: Number, what: Mounted | None = None) -> EntryView:
+    """Say that the sample which the prompt asks for lies on the bench."""
+    queue.entry(live.store, number)
+    await live.worker.call("mounted", entry=number, scan=None if what is None else what.scan)
+    return _view(live, queue.entry(live.store, number))
+
+
+def _request(live: Live, number: int, command: Command) -> EntryView:
+    """Ask the scan of a running entry for something. Raises `Conflict` where there is none that could do it."""
+    wanted = queue.entry(live.store, number)
+    if wanted.phase != "running":
+        able = "start it first" if wanted.outcome != "completed" else "its campaign is completed"
+        raise Conflict(f'Entry {number}, "{wanted.name}", is {wanted.phase}, so it cannot {command}; {able}')
+    scans = [] if wanted.campaign_id is None else live.store.scans(wanted.campaign_id)
+    active = next((scan for scan in scans if scan.phase in ACTIVE_PHASES), None)
+    if active is None:
+        raise Conflict(
+            f'Entry {number}, "{wanted.name}", cannot {command} just now, as no scan of it is under way: the bench is '
+            f"made ready, or fits are made; try again in a moment, or stop the bench"
+        )
+    if command == "resume" and active.phase == "running":
+        return _view(live, wanted)
+    try:
+        live.store.request(active.id, command)
+    except NotInStore as error:
+        raise Conflict(str(error)) from None
+    return _changed(live, wanted)
+
+
+def _changed(live: Live, entry: queue.Entry) -> EntryView:
+    """The entry as it is shown; all listeners are told that it has changed."""
+    live.events.publish("queue", {"entry": entry.id})
+    return _view(live, entry)
+
+
+def _view(live: Live, entry: queue.Entry) -> EntryView:
+    return entry_view(live, entry, _state(live))
+
+
+def _state(live: Live) -> BenchState | None:
+    try:
+        return live.worker.state
+    except Conflict:  # it is being started
+        return None

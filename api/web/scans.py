@@ -1,0 +1,211 @@
+"""What was measured: scans, their points, and the raw spectra."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from pydantic import BaseModel, Field
+
+from api.web.access import Caller, needs
+from api.web.context import Here, Number
+from api.web.instrument import BINARY
+from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, etag, page, unchanged
+from goniometer import look_up
+from goniometer.look_up import NONE, Counts
+from goniometer.records import Command, Exposure, ExposureKind, Kind, Outcome, Phase, Point, Scan, Status
+
+router = APIRouter(prefix="/api", tags=["scans"])
+
+Viewer = Annotated[Caller, needs("viewer")]
+
+
+class ScanView(BaseModel):
+    """One thing measured from end to end."""
+
+    id: int
+    campaign: int = Field(description="Id of the campaign.")
+    number: int = Field(description="Place in the campaign; the first reference scan is 0.")
+    kind: Kind
+    name: str = Field(description="Its sample, with the number of the repeat where there are several.")
+    sample: str
+    material: str
+    phase: Phase
+    outcome: Outcome | None = Field(description="How it ended; null while it has not.")
+    reason: str = Field(description="Why it ended so, or why it waits; a sentence, or empty.")
+    command: Command | None = Field(description="What was asked for and is not taken up yet.")
+    started: str | None = Field(description="ISO 8601, UTC.")
+    finished: str | None = Field(description="ISO 8601, UTC.")
+    points_done: int
+    points_failed: int
+    points_expected: int | None = Field(description="Points in the end, as foreseen; null where nobody knows yet.")
+    remaining: float | None = Field(description="Bench time to go, as foreseen at its last point, seconds.")
+    datasets: list[int] = Field(description="Ids of what was made from it.")
+
+
+class PointView(BaseModel):
+    """One direction of a scan."""
+
+    id: int
+    scan: int
+    number: int = Field(description="Order in which the plan asked for it.")
+    theta_in: float = Field(description="As planned, degrees.")
+    theta_out: float = Field(description="As planned, degrees.")
+    read_theta_in: float | None = Field(description="As the stages read it back, degrees.")
+    read_theta_out: float | None
+    status: Status
+    attempts: int
+    reason: str = Field(description="Why it failed or was skipped, or what is less than was wanted.")
+    seconds: float = Field(description="Bench time that it took.")
+    signal_to_noise: float | None
+
+
+class PointDetail(PointView):
+    """One direction of a scan, with its raw spectra."""
+
+    exposures: list[int] = Field(description="Ids of its exposures.")
+
+
+class ExposureView(BaseModel):
+    """One raw spectrum."""
+
+    id: int
+    scan: int
+    point: int | None = Field(description="Id of its point; null for all but light.")
+    kind: ExposureKind
+    theta_in: float | None = Field(description="Where the stages stood, degrees; null for a dark.")
+    theta_out: float | None
+    integration_time: float = Field(description="Seconds.")
+    detector_temperature: float = Field(description="Degrees Celsius.")
+    taken: str = Field(description="ISO 8601, UTC.")
+    counts: list[int] = Field(description="[pixels] raw counts.")
+
+
+@router.get("/scans")
+def scans(
+    live: Here,
+    caller: Viewer,
+    campaign: Annotated[int | None, Query(ge=1, lt=2**63, description="Only those of this campaign.")] = None,
+    limit: Limit = DEFAULT_LIMIT,
+    after: After = None,
+) -> Page[ScanView]:
+    """Scans in the order in which they are run, campaign by campaign."""
+    start = after_number(after)
+    rows = [scan for scan in live.store.scans(campaign) if scan.id > start]
+    rows = sorted(rows, key=lambda scan: scan.id)[: limit + 1]
+    views = {view.id: view for view in scan_views(live, rows)}
+    return page(rows, limit, lambda scan: views[scan.id], lambda scan: scan.id)
+
+
+@router.get("/scans/{number}")
+def scan(live: Here, caller: Viewer, number: Number) -> ScanView:
+    """One scan."""
+    return scan_views(live, [live.store.scan(number)])[0]
+
+
+@router.get("/scans/{number}/points")
+def points(
+    live: Here, caller: Viewer, number: Number, limit: Limit = DEFAULT_LIMIT, after: After = None
+) -> Page[PointView]:
+    """The points of a scan, in the order in which the plan asked for them."""
+    live.store.scan(number)
+    rows = look_up.points_after(live.store, number, after_number(after, -1), limit + 1)
+    return page(rows, limit, _point, lambda point: point.number)
+
+
+@router.get("/points/{number}")
+def point(live: Here, caller: Viewer, number: Number) -> PointDetail:
+    """One point, and the ids of its exposures."""
+    found = look_up.point(live.store, number)
+    return PointDetail(**_point(found).model_dump(), exposures=look_up.exposures_of(live.store, number))
+
+
+@router.get(
+    "/exposures/{number}",
+    responses={
+        200: {"model": ExposureView, "content": {BINARY: {"schema": {"type": "string"}}}},
+        304: {"description": "It is as it was."},
+    },
+    response_class=Response,
+)
+def exposure(
+    request: Request,
+    response: Response,
+    live: Here,
+    caller: Viewer,
+    number: Number,
+    accept: Annotated[str, Header(include_in_schema=False)] = "",
+) -> Response:
+    """A raw spectrum, which never changes; as octets, it is the counts as little-endian float64."""
+    binary = BINARY in accept
+    scan_id, found = look_up.exposure(live.store, number)
+    same = unchanged(request, response, etag("exposure", number, found.taken, binary))
+    if same is not None:
+        return same
+    headers = {"ETag": response.headers["ETag"], "Cache-Control": "private, max-age=31536000, immutable"}
+    headers["Vary"] = "Accept"
+    if binary:
+        return Response(found.counts.astype("<f8").tobytes(), media_type=BINARY, headers=headers)
+    content = _exposure(scan_id, found).model_dump_json()
+    return Response(content, media_type="application/json", headers=headers)
+
+
+def scan_views(live: Here, rows: list[Scan]) -> list[ScanView]:
+    """Scans as they are shown."""
+    ids = [row.id for row in rows]
+    counts, made = look_up.point_counts(live.store, ids), look_up.datasets_of(live.store, ids)
+    return [_scan(row, counts.get(row.id, NONE), made.get(row.id, [])) for row in rows]
+
+
+def _scan(row: Scan, counts: Counts, datasets: list[int]) -> ScanView:
+    return ScanView(
+        id=row.id,
+        campaign=row.campaign_id,
+        number=row.number,
+        kind=row.kind,
+        name=row.name,
+        sample=row.sample,
+        material=row.material,
+        phase=row.phase,
+        outcome=row.outcome,
+        reason=row.reason,
+        command=row.command,
+        started=row.started,
+        finished=row.finished,
+        points_done=counts.done,
+        points_failed=counts.failed,
+        points_expected=row.expected_points if row.phase != "finished" or row.outcome != "completed" else counts.done,
+        remaining=None if row.remaining is None else row.remaining.seconds,
+        datasets=datasets,
+    )
+
+
+def _point(row: Point) -> PointView:
+    read = row.read_back
+    return PointView(
+        id=row.id,
+        scan=row.scan_id,
+        number=row.number,
+        theta_in=row.geometry.theta_in,
+        theta_out=row.geometry.theta_out,
+        read_theta_in=None if read is None else read.theta_in,
+        read_theta_out=None if read is None else read.theta_out,
+        status=row.status,
+        attempts=row.attempts,
+        reason=row.reason,
+        seconds=row.seconds,
+        signal_to_noise=row.signal_to_noise,
+    )
+
+
+def _exposure(scan_id: int, row: Exposure) -> ExposureView:
+    return ExposureView(
+        id=row.id,
+        scan=scan_id,
+        point=row.point_id,
+        kind=row.kind,
+        theta_in=None if row.geometry is None else row.geometry.theta_in,
+        theta_out=None if row.geometry is None else row.geometry.theta_out,
+        integration_time=row.integration_time,
+        detector_temperature=row.detector_temperature,
+        taken=row.taken,
+        counts=row.counts.tolist(),
+    )

@@ -1,0 +1,141 @@
+"""Which datasets there are in the database, told without reading their numbers."""
+
+from collections import Counter
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+from sqlalchemy import Row, Select, func, or_, select
+
+from goniometer import tables
+from goniometer.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.database import Database
+from goniometer.dataset import Dataset, Flag, Kind
+
+Order = Literal["newest", "oldest"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A dataset as a list shows it."""
+
+    id: int
+    scan_id: int | None
+    """None where it was imported, simulated, or measured elsewhere."""
+    sample: str
+    """Its name, with the number of the repeat where a campaign measured it several times."""
+    kind: Kind
+    points: int
+    incident_angles: int
+    shortest: float
+    """Wavelength, nm."""
+    longest: float
+    """Wavelength, nm."""
+    flags: int
+    """All flags that occur, a sum of `Flag`."""
+    flagged: int
+    """Points with any flag."""
+    checks_failed: int
+    recalibrated_from: int | None
+    """The dataset of the same raw data that it was made anew from."""
+    content_hash: str
+    """SHA-256 of its numbers."""
+    software_version: str
+    created: str
+    """ISO 8601 in UTC."""
+    campaign_id: int | None
+    campaign: str | None
+    """Name of the campaign."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which datasets are asked for; None asks for any."""
+
+    sample: str | None = None
+    """Name of the sample, with or without the number of the repeat, whatever the case of its letters."""
+    campaign_id: int | None = None
+    kind: Kind | None = None
+    flag: Flag | None = None
+    """Those with at least one point of this flag."""
+    since: str | None = None
+    """ISO 8601 in UTC: made then or later."""
+    until: str | None = None
+    """Made before."""
+
+
+def facts_of(dataset: Dataset) -> dict[str, object]:
+    """What the table of datasets tells of one beside its numbers."""
+    source = dataset.lineage.get("recalibrated_from")
+    return {
+        "sample": dataset.sample,
+        "kind": dataset.kind,
+        "points": dataset.theta_in.size,
+        "incident_angles": int(incidence_groups(dataset.theta_in, SAME_INCIDENCE).max(initial=-1)) + 1,
+        "shortest": float(dataset.wavelengths[0]),
+        "longest": float(dataset.wavelengths[-1]),
+        "flags": int(np.bitwise_or.reduce(dataset.flags, initial=0)),
+        "flagged": int(np.count_nonzero(dataset.flags)),
+        "checks_failed": sum(check.passed is False for check in dataset.checks),
+        # the number of one that came from a file is of another database
+        "recalibrated_from": source if isinstance(source, int) and "reloaded" not in dataset.lineage else None,
+        "content_hash": dataset.content_hash,
+    }
+
+
+class Catalogue(Database):
+    """The part of an open database that lists datasets; `goniometer.store.Store` is the whole."""
+
+    def entry(self, dataset_id: int) -> Entry:
+        """One dataset; raises `NotInStore`."""
+        return _entry(self.row(_entries().where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}"))
+
+    def entries(self, wanted: Wanted, limit: int, after: int | None = None, order: Order = "newest") -> list[Entry]:
+        """At most `limit` datasets that are `wanted`, from the one behind the dataset `after` on."""
+        here, query = tables.datasets.c, _entries()
+        if wanted.sample is not None:
+            names = func.lower(here.sample), func.lower(tables.scans.c.sample)
+            query = query.where(or_(*(name == wanted.sample.lower() for name in names)))
+        if wanted.campaign_id is not None:
+            query = query.where(tables.scans.c.campaign_id == wanted.campaign_id)
+        if wanted.kind is not None:
+            query = query.where(here.kind == wanted.kind)
+        if wanted.flag is not None:
+            query = query.where(here.flags.bitwise_and(int(wanted.flag)) != 0)
+        if wanted.since is not None:
+            query = query.where(here.created >= wanted.since)
+        if wanted.until is not None:
+            query = query.where(here.created < wanted.until)
+        newest = order == "newest"
+        if after is not None:
+            query = query.where(here.id < after if newest else here.id > after)
+        return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
+
+    def recalibrations(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets that were made anew from this one, oldest first."""
+        here = tables.datasets.c
+        query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
+        return [row.id for row in self.rows(query)]
+
+    def dataset_counts(self) -> dict[str, int]:
+        """How many datasets there are by the name of their sample, without the number of a repeat."""
+        name = func.coalesce(tables.scans.c.sample, tables.datasets.c.sample)
+        query = select(name.label("sample")).select_from(tables.datasets.outerjoin(tables.scans))
+        return Counter(row.sample for row in self.rows(query))
+
+    def samples(self) -> list[str]:
+        """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
+        alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))
+        measured = select(tables.scans.c.sample).where(tables.scans.c.kind == "sample")
+        return sorted({row.sample for query in (alone, measured) for row in self.rows(query)})
+
+
+def _entries() -> Select[Any]:
+    columns = [column for column in tables.datasets.c if column.name in {field.name for field in fields(Entry)}]
+    of_campaign = tables.scans.c.campaign_id, tables.campaigns.c.name.label("campaign")
+    joined = tables.datasets.outerjoin(tables.scans).outerjoin(tables.campaigns)
+    return select(*columns, *of_campaign).select_from(joined)
+
+
+def _entry(row: Row[Any]) -> Entry:
+    return Entry(**{field.name: getattr(row, field.name) for field in fields(Entry)})

@@ -1,0 +1,98 @@
+"""Single rows and parts of long lists of what was measured, for who looks at a database while it is written."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import case, func, select
+
+from goniometer import tables
+from goniometer.database import Database
+from goniometer.records import Exposure, Point, to_exposure, to_point
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many points a scan has."""
+
+    done: int
+    failed: int
+    """Failed and skipped ones."""
+    pending: int
+
+
+NONE = Counts(0, 0, 0)
+
+
+@dataclass(frozen=True)
+class CampaignRow:
+    """A campaign in the database, without what it asks for."""
+
+    id: int
+    name: str
+    hash: str
+    """SHA-256 of what decides what is measured."""
+    created: str
+    """ISO 8601, UTC."""
+
+
+def campaign_rows(database: Database, after: int, limit: int) -> list[CampaignRow]:
+    """At most `limit` campaigns with ids above `after`, oldest first."""
+    here = tables.campaigns.c
+    query = select(here.id, here.name, here.hash, here.created).where(here.id > after).order_by(here.id).limit(limit)
+    return [CampaignRow(row.id, row.name, row.hash, row.created) for row in database.rows(query)]
+
+
+def campaign_row(database: Database, campaign_id: int) -> CampaignRow:
+    """One campaign; raises `NotInStore`."""
+    here = tables.campaigns.c
+    query = select(here.id, here.name, here.hash, here.created).where(here.id == campaign_id)
+    row = database.row(query, f"campaign {campaign_id}")
+    return CampaignRow(row.id, row.name, row.hash, row.created)
+
+
+def point_counts(database: Database, scan_ids: Sequence[int]) -> dict[int, Counts]:
+    """How many points these scans have, by their ids; scans without any are left out."""
+    here = tables.points.c
+    numbers = [
+        func.sum(case((here.status.in_(statuses), 1), else_=0))
+        for statuses in (("done",), ("failed", "skipped"), ("pending", "running"))
+    ]
+    query = select(here.scan_id, *numbers).where(here.scan_id.in_(scan_ids)).group_by(here.scan_id)
+    return {row[0]: Counts(*map(int, row[1:])) for row in database.rows(query)}
+
+
+def datasets_of(database: Database, scan_ids: Sequence[int]) -> dict[int, list[int]]:
+    """Ids of the datasets of these scans, oldest first, by the ids of the scans; scans without any are left out."""
+    here = tables.datasets.c
+    found: dict[int, list[int]] = {}
+    for row in database.rows(select(here.id, here.scan_id).where(here.scan_id.in_(scan_ids)).order_by(here.id)):
+        found.setdefault(row.scan_id, []).append(row.id)
+    return found
+
+
+def points_after(database: Database, scan_id: int, after: int, limit: int) -> list[Point]:
+    """At most `limit` points of a scan with numbers above `after`, in the order in which the plan asked for them."""
+    here = tables.points.c
+    query = select(tables.points).where(here.scan_id == scan_id, here.number > after).order_by(here.number).limit(limit)
+    return [to_point(row) for row in database.rows(query)]
+
+
+def point(database: Database, point_id: int) -> Point:
+    """One point; raises `NotInStore`."""
+    return to_point(database.row(select(tables.points).where(tables.points.c.id == point_id), f"point {point_id}"))
+
+
+def exposures_of(database: Database, point_id: int) -> list[int]:
+    """Ids of the exposures of a point, in the order in which they were written."""
+    here = tables.exposures.c
+    scan = select(tables.points.c.scan_id).where(tables.points.c.id == point_id).scalar_subquery()
+    # there is an index of scans
+    query = select(here.id).where(here.scan_id == scan, here.point_id == point_id).order_by(here.id)
+    return [row.id for row in database.rows(query)]
+
+
+def exposure(database: Database, exposure_id: int) -> tuple[int, Exposure]:
+    """One exposure and the id of its scan; raises `NotInStore`."""
+    query = select(tables.exposures).where(tables.exposures.c.id == exposure_id)
+    row = database.row(query, f"exposure {exposure_id}")
+    return row.scan_id, to_exposure(row)

@@ -1,0 +1,123 @@
+"""The Python client and the example campaign, against a real server on the simulated bench."""
+
+import asyncio
+import json
+import runpy
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import httpx
+import numpy as np
+import pytest
+
+from api import calls
+from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
+from api.errors import Conflict, Unauthorised
+from api.job_arguments import ExportAsked, HowAsked, ImportAsked
+from goniometer.errors import InputError, NotInStore
+from tests.served import Served, served
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "example_campaign.py"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, str, Path]]:
+    """A service that has measured the example campaign, a token, and the folder in which the example ran."""
+    folder = tmp_path_factory.mktemp("client")
+    patch = pytest.MonkeyPatch()
+    with served(folder) as service:
+        token = service.client.headers["authorization"].removeprefix("Bearer ")
+        patch.setenv("GONIOMETER_URL", service.url)
+        patch.setenv("GONIOMETER_TOKEN", token)
+        patch.chdir(folder)
+        runpy.run_path(str(EXAMPLE))
+        yield service, token, folder
+    patch.undo()
+
+
+def test_the_example_campaign_measures_fits_draws_and_exports(bench: tuple[Served, str, Path]) -> None:
+    service, token, folder = bench
+    assert (folder / "distributions.png").stat().st_size > 10_000
+    with Client(service.url, token) as client:
+        (row,) = client.every(calls.datasets(sample="sample 4"))
+        fitted = {model.model for model in client(calls.models(row.id)).models}
+        spectra = client(calls.spectra(row.id))
+    assert {"global", "cook-torrance", "cook-torrance-shift"} <= fitted
+    stored = service.live.store.dataset(row.id)
+    for name in ("theta_in", "theta_out", "wavelengths", "brdf", "u"):
+        np.testing.assert_array_equal(getattr(spectra, name), getattr(stored, name))
+    with h5py.File(folder / "sample-4.h5") as file:  # somebody else's reader
+
+        def same(_: str, item: object) -> bool | None:
+            found = isinstance(item, h5py.Dataset) and item.shape == stored.brdf.shape
+            return True if found and np.array_equal(item[()], stored.brdf, equal_nan=True) else None
+
+        assert file.visititems(same)
+
+
+def test_what_the_service_refuses_is_the_exception_of_the_same_work_here(bench: tuple[Served, str, Path]) -> None:
+    service, token, _ = bench
+    with Client(service.url, token) as client:
+        with pytest.raises(NotInStore, match="no dataset 99"):
+            client(calls.dataset(99))
+        with pytest.raises(InputError, match="There is no model"):
+            client(calls.fit(1, HowAsked(model="guess")))
+        with pytest.raises(Conflict, match="is over") as refused:
+            client(calls.cancel(1))
+        assert refused.value.__cause__.problem.status == 409  # type: ignore[union-attr]
+        sent = client(calls.upload("none.csv", b"nothing in here\n"))
+        with pytest.raises(JobFailed, match="aperture"):
+            client.wait(client(calls.import_file(ImportAsked(upload=sent.upload))))
+    with Client(service.url, "gonio_wrong") as stranger, pytest.raises(Unauthorised):
+        stranger(calls.about())
+    with Client("http://127.0.0.1:9", token) as nobody, pytest.raises(Unreachable, match="goniometer serve"):
+        nobody(calls.about())
+
+
+def test_both_clients_give_the_same_answers_and_hear_of_jobs(bench: tuple[Served, str, Path]) -> None:
+    service, token, _ = bench
+
+    async def ask() -> tuple[object, list[str], dict[str, object], Event]:
+        async with AsyncClient(service.url, token) as client:
+            rows = [row.name async for row in client.every(calls.scans())]
+            listening = client.events()
+            first: asyncio.Future[Event] = asyncio.ensure_future(anext(listening))  # type: ignore[arg-type]
+            await asyncio.sleep(0.5)
+            result = await client.wait(await client(calls.export(1, ExportAsked(format="json"))))
+            heard = await first
+            while heard.kind != "job":
+                heard = await anext(listening)
+            await listening.aclose()  # type: ignore[attr-defined]
+            return await client(calls.colour_map(1)), rows, result, heard
+
+    found, rows, result, heard = asyncio.run(ask())
+    assert heard.data["kind"] == "export"
+    assert result["format"] == "json"
+    with Client(service.url, token) as client:
+        assert found == client(calls.colour_map(1))
+        assert rows == [row.name for row in client.every(calls.scans())]
+        listening = client.events(after="unknown-1")
+        assert next(listening).kind == "reset"
+        listening.close()  # type: ignore[attr-defined]
+
+
+def test_a_list_is_read_to_its_end_page_after_page(bench: tuple[Served, str, Path]) -> None:
+    service, token, _ = bench
+    with Client(service.url, token) as client:
+        scan = service.live.store.scans()[0]
+        asked = calls.points(scan.id)
+        few = list(client.every(calls.Call("GET", asked.path, asked.read, {"limit": 3})))
+        assert [point.number for point in few] == [point.number for point in service.live.store.points(scan.id)]
+
+
+def test_numbers_of_the_service_are_strict_json(bench: tuple[Served, str, Path]) -> None:
+    service, _, _ = bench
+
+    def refuse(name: str) -> float:
+        raise AssertionError(name)
+
+    for path in ("map", "slopes", "models", "distributions", "budget", "points/0", "lineage", "checks"):
+        answer: httpx.Response = service.client.get(f"/api/datasets/1/{path}")
+        assert answer.status_code == 200, answer.text
+        json.loads(answer.text, parse_constant=refuse)

@@ -1,0 +1,199 @@
+"""Whether the web server slows a scan down, and whether it answers in time, under more listeners than there will be.
+
+A campaign runs on the simulated bench, as fast as the computer can, while nobody listens and while 50 streams of events
+and 200 requests a second come from a process of their own; both by turns, so that whatever else the computer does
+meets them alike. What a point costs the process that drives the bench is told in CPU time as well: where two cores
+carry server, bench and clients, these take each other's turns, and a real bench waits for its stages anyhow.
+
+    python -m tests.benchmarks.service_load
+"""
+
+import asyncio
+import contextlib
+import json
+import multiprocessing
+import os
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from tests.served import LONG
+
+STREAMS = 50
+REQUESTS = 200
+"""A second."""
+CONNECTIONS = 20
+TURN = 5.0
+"""Seconds of each turn."""
+TURNS = 4
+"""With and without load, each."""
+PATHS = ("/api/instrument", "/api/instrument", "/api/queue", "/api/scans", "/api/scans/1/points?limit=50")
+CAMPAIGN = LONG | {"samples": [{"name": "Sample 1", "material": "sample-1", "repeats": 20}]}
+
+
+async def answer(reader: asyncio.StreamReader) -> int:
+    """Read one answer with a known length; returns its status."""
+    head = (await reader.readuntil(b"\r\n\r\n")).decode()
+    length = next(int(line.split(":")[1]) for line in head.lower().splitlines() if line.startswith("content-length"))
+    await reader.readexactly(length)
+    return int(head.split()[1])
+
+
+async def load(port: int, token: str, seconds: float) -> tuple[dict[str, list[float]], int]:
+    """Latencies of each path, seconds, and the number of events that all streams together have seen."""
+    seen = 0
+
+    def request(path: str) -> bytes:
+        return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
+
+    async def listen() -> None:
+        nonlocal seen
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(request("/api/events"))
+        try:
+            while chunk := await reader.read(1 << 16):
+                seen += chunk.count(b"\nevent: ")
+        finally:
+            writer.close()
+
+    latencies: dict[str, list[float]] = {path: [] for path in PATHS}
+    begin = time.perf_counter() + 1  # the streams are open by then
+
+    async def ask(number: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        turn = number
+        while (moment := begin + turn / REQUESTS) < begin + seconds:
+            await asyncio.sleep(max(0.0, moment - time.perf_counter()))
+            path = PATHS[turn // CONNECTIONS % len(PATHS)]
+            writer.write(request(path))
+            status = await answer(reader)
+            assert status == 200, (path, status)
+            latencies[path].append(time.perf_counter() - moment)  # from when it was due: waiting for its turn counts
+            turn += CONNECTIONS
+        writer.close()
+
+    streams = [asyncio.ensure_future(listen()) for _ in range(STREAMS)]
+    await asyncio.gather(*map(ask, range(CONNECTIONS)))
+    for stream in streams:
+        stream.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await asyncio.gather(*streams)
+    return latencies, seen
+
+
+def loading(connection: Connection, port: int, token: str) -> None:
+    """Be the clients whenever a number of seconds comes."""
+    while (seconds := connection.recv()) is not None:
+        began = os.times()
+        found = asyncio.run(load(port, token, seconds))
+        ended = os.times()
+        connection.send((*found, ended.user + ended.system - began.user - began.system))
+
+
+def cpu(process: int) -> float:
+    """Seconds that a process has computed for."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def points(database: Path) -> int:
+    """Points that are measured."""
+    with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
+        return int(connection.execute("SELECT count(*) FROM points WHERE status = 'done'").fetchone()[0])
+
+
+def main() -> None:
+    """Print the table."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = [sys.executable, "-c", "from api.cli import main; main()", "serve", "--port", "0"]
+        command += ["--mount-by-itself", "-d", str(folder / "bench.db"), "-o", str(folder / "results")]
+        with (folder / "log").open("w") as log:
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+        try:
+            assert process.stdout is not None
+            url, _, token = process.stdout.readline().split()[1].partition("/#token=")
+            measure(folder / "bench.db", url, token, process.pid)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def measure(database: Path, url: str, token: str, server: int) -> None:
+    """Run the campaign, and the turns with and without load."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    clients = context.Process(target=loading, args=(there, int(url.rpartition(":")[2]), token))
+    clients.start()
+    with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, trust_env=False) as client:
+        while True:
+            with contextlib.suppress(httpx.ConnectError):
+                if client.get("/api/instrument").is_success:
+                    break
+            time.sleep(0.2)
+        number = client.post("/api/queue", json={"campaign": CAMPAIGN}).raise_for_status().json()["id"]
+        client.post(f"/api/queue/{number}/start").raise_for_status()
+        while points(database) < 200:  # the bench is open, and the pace is even
+            time.sleep(0.5)
+        bench = client.get("/api/instrument").json()["driver"]["process"]
+    rows: dict[bool, list[tuple[int, float, float, float]]] = {False: [], True: []}
+    latencies: dict[str, list[float]] = {path: [] for path in PATHS}
+    events, client_cpu = 0, 0.0
+    for turn in range(2 * TURNS):
+        loaded = turn % 2 == 1
+        if loaded:
+            here.send(TURN + 1)
+            time.sleep(1)
+        began = time.monotonic(), points(database), cpu(bench), cpu(server)
+        time.sleep(TURN)
+        ended = time.monotonic(), points(database), cpu(bench), cpu(server)
+        rows[loaded].append((ended[1] - began[1], ended[0] - began[0], ended[2] - began[2], ended[3] - began[3]))
+        if loaded:
+            told, seen, spent = here.recv()
+            events, client_cpu = events + seen, client_cpu + spent
+            for path, values in told.items():
+                latencies[path] += values
+    here.send(None)
+    clients.join()
+    show(rows, latencies, events, client_cpu)
+
+
+def show(
+    rows: dict[bool, list[tuple[int, float, float, float]]],
+    latencies: dict[str, list[float]],
+    events: int,
+    client_cpu: float,
+) -> None:
+    """Print what was measured."""
+    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {TURNS} turns of {TURN:g} s each way\n")
+    print(f"{'':28} {'points/s':>9} {'bench CPU ms/point':>19} {'bench CPU':>10} {'server CPU':>11}")
+    rates, costs = {}, {}
+    for loaded, name in ((False, "nobody listens"), (True, f"{STREAMS} streams, {REQUESTS} requests/s")):
+        done, seconds, bench, server = np.array(rows[loaded]).sum(axis=0)
+        rates[loaded], costs[loaded] = done / seconds, bench / done
+        print(
+            f"{name:28} {done / seconds:9.1f} {1000 * bench / done:19.2f} {100 * bench / seconds:8.0f} % "
+            f"{100 * server / seconds:9.0f} %"
+        )
+    print(f"points a second fall by {100 * (1 - rates[True] / rates[False]):.1f} %, ", end="")
+    print(f"CPU time of a point rises by {100 * (costs[True] / costs[False] - 1):.1f} %")
+    spent = client_cpu / (TURNS * (TURN + 2))
+    print(
+        f"the clients took {100 * spent:.0f} % of a core; a stream saw {events / TURNS / STREAMS:.0f} events a turn\n"
+    )
+    print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
+    for path, values in latencies.items():
+        median, high, worst = 1000 * np.percentile(values, [50, 99, 100])
+        print(f"{path:34} {len(values):9} {median:8.1f} {high:8.1f} {worst:8.1f}")
+    print(json.dumps({"fall": 1 - rates[True] / rates[False], "cpu": costs[True] / costs[False] - 1}))
+
+
+if __name__ == "__main__":
+    main()
