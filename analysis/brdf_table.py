@@ -179,6 +179,6 @@ def _visible(dataset: Dataset) -> Dataset:
     bands = np.flatnonzero((dataset.wavelengths >= low) & (dataset.wavelengths <= high))
     observer_needs = dataset.wavelengths[bands]
     # every third of a fine grid: reflectances are smooth, and light and observer are not thinned
-    stride = max(1, int(5.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
+    stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
     bands = np.union1d(bands[::stride], bands[-1:])
     return dataset.at_wavelengths(bands)

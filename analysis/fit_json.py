@@ -8,6 +8,8 @@ The refractive index is part of the file, so that a model does not change when a
 import json
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, cast
@@ -48,12 +50,9 @@ _LINE_BREAK = re.compile(r"\s*\n\s*")
 
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
     """One fit as JSON text; `dataset` and `conductor` are those it was fitted with, the latter where it was needed."""
-    needed = fit.albedo is None and any(p.name in {"p", "alpha"} for p in fit.parameters)
-    return strict_json(
-        _head(FIT_SCHEMA)
-        | _fit_part(fit, dataset, differences)
-        | ({"conductor": _conductor_part(conductor)} if needed else {})
-    )
+    part = _fit_part(fit, dataset, differences)
+    needed = {"conductor": _conductor_part(conductor)} if _is_of_metal(part) else {}
+    return strict_json(_head(FIT_SCHEMA) | part | needed)
 
 
 def fit_from_json(text: str) -> StoredFit:
@@ -61,13 +60,36 @@ def fit_from_json(text: str) -> StoredFit:
 
     Raises `InputError` if the text is no JSON, no fit, of another schema version, or incomplete.
     """
-    document = _document(text, FIT_SCHEMA)
+    with _complete():
+        return _stored_fit(_document(text, FIT_SCHEMA))
+
+
+def analysis_from_json(text: str) -> tuple[StoredFit, ...]:
+    """All fits but the local one from what `analysis_to_json` wrote, in its order and equal to them bit for bit.
+
+    Raises what `fit_from_json` raises.
+    """
+    document = _document(text, ANALYSIS_SCHEMA)
+    with _complete():
+        of_all = {"software": document["software"]}
+        metal = {"conductor": document["conductor"]}
+        return tuple(_stored_fit(part | of_all | (metal if _is_of_metal(part) else {})) for part in document["models"])
+
+
+@contextmanager
+def _complete() -> Iterator[None]:
+    """Turns what a missing or wrong field raises into `InputError`."""
     try:
-        return _stored_fit(document)
+        yield
     except KeyError as fault:
         raise InputError(f"This fit file is incomplete: the field {fault} is missing.") from fault
     except (TypeError, ValueError, AttributeError) as fault:
         raise InputError(f"This fit file is damaged: a field does not hold what it should ({fault}).") from fault
+
+
+def _is_of_metal(part: dict[str, Any]) -> bool:
+    """Whether a model needs the refractive index of the metal."""
+    return "albedo" not in part and any(parameter["name"] in {"p", "alpha"} for parameter in part["parameters"])
 
 
 def analysis_to_json(analysis: SampleAnalysis, conductor: Conductor) -> str:

@@ -90,9 +90,9 @@ def evaluate(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavele
 def as_measured(fit: StoredFit, theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:
     """What an instrument with the aperture of the fitted data reads of a microfacet model, 1/sr.
 
-    `theta_in` and `theta_out` [points] in degrees, `wavelengths` [wavelengths] in nm; at the points of its dataset
-    what the fit itself gave, to the last bit. Raises `OutOfRange` for a model of the slopes, which has no brightness
-    of its own, and what `evaluate` raises.
+    `theta_in` and `theta_out` [points] in degrees, `wavelengths` [wavelengths] in nm; at all points of its dataset
+    together what the fit itself gave, to the last bit. Raises `OutOfRange` for a model of the slopes, which has no
+    brightness of its own, and what `evaluate` raises.
     """
     if fit.model in SLOPE_MODELS:
         raise OutOfRange(f"The model {fit.model} tells slopes and no brightness; ask for a microfacet model.")

@@ -170,6 +170,9 @@ class OperatedBench:
             raise
         finally:
             if work is not None:
+                _, going_on = await asyncio.wait({work}, timeout=LETTING_GO)
+                for task in going_on:  # a cancellation that comes with a reply may get lost
+                    task.cancel()
                 await asyncio.wait({work}, timeout=LETTING_GO)
             elif instrument is not None:
                 self._enter("ready", "It was stopped.")

@@ -1,6 +1,6 @@
 """What somebody asks of each kind of job; the numbers and names are those of the command line."""
 
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -11,6 +11,7 @@ from analysis.least_squares import Engine
 from analysis.loew import Weight
 from api.certificates import known_certificate
 from api.exports import FORMATS
+from api.foreign_scene import check_foreign_scene
 from api.products import conductor_name
 from api.quality import settings_of
 from api.tradeoff import Kind as ChartKind
@@ -34,7 +35,7 @@ class Arguments(BaseModel):
 class OfDataset(Arguments):
     """A job on one dataset."""
 
-    dataset: int = Field(ge=1, description="Id of the dataset.")
+    dataset: int = Field(ge=1, lt=2**63, description="Id of the dataset.")
 
     def check(self, store: Store) -> None:
         """Raise `NotInStore` where there is no such dataset."""
@@ -70,7 +71,9 @@ class ExportAsked(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     format: str = Field(description="One of those that GET /api/exports/formats lists.", examples=["hdf5"])
-    options: dict[str, Any] = Field(default={}, description="What the format lets one say, by name.")
+    options: dict[str, bool | str] = Field(
+        default={}, description='What the format lets one say, by name; "about" is the upload of a file.'
+    )
 
 
 class ExportArguments(ExportAsked, OfDataset):
@@ -146,9 +149,21 @@ class TradeoffArguments(Arguments):
     """Chart speed against accuracy on the machine of the service."""
 
     kinds: list[ChartKind] = Field(default=list(ChartKind), min_length=1)
-    dataset: int | None = Field(default=None, ge=1, description="Chart this; null: what the simulated bench makes.")
-    sample: str = Field(default="sample-4", description="Material of the simulated bench, whose truth is known.")
-    surface: str = Field(default="sample-1", description="Surface of the simulations.")
+    dataset: int | None = Field(
+        default=None, ge=1, lt=2**63, description="Chart this; null: what the simulated bench makes."
+    )
+    # names only: a path would let whoever asks look at the files of this machine
+    sample: str = Field(
+        default="sample-4",
+        pattern=r"^[a-z0-9-]{1,40}$",
+        description="Material of the simulated bench, whose truth is known.",
+    )
+    surface: str = Field(
+        default="sample-1",
+        pattern=r"^(sample-[1-8]|(gaussian|brushed)(:[0-9.e+-]{1,20}){2,3})$",
+        description='Surface of the simulations: "sample-1" to "sample-8", "gaussian:RMS:LENGTH" (um) or '
+        '"brushed:RMS:ACROSS:ALONG" (um).',
+    )
     dielectric: bool = Field(default=False, description="Models: take the ladder of a dielectric.")
     rounds: int = Field(default=5, ge=1, le=50, description="How often everything is timed.")
 
@@ -178,3 +193,9 @@ class ChooseArguments(OfDataset):
     tolerance: float = Field(default=1.0, ge=0.01, description="Largest mean dE00 in the scene.")
     dielectric: bool = Field(default=False, description="Take the ladder of a dielectric.")
     rendering: bool = Field(default=True, description="Verify by rendering, where Mitsuba is installed.")
+
+    def check(self, store: Store) -> None:
+        """Raise `InputError` for a scene of Mitsuba that reaches for files, and `NotInStore`."""
+        super().check(store)
+        if self.scene_format == "mitsuba":
+            check_foreign_scene(self.scene)

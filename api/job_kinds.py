@@ -34,7 +34,6 @@ from api.tradeoff import TITLE as TRADEOFF
 from api.tradeoff import chapters, charts
 from api.uploads import uploaded
 from goniometer.certificate import Override
-from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.ensemble import cells, ensemble, jobs
 from simulators.regimes import REGIMES
@@ -88,10 +87,10 @@ def _fit(work: Work, asked: FitArguments) -> Made:
 
 def _export(work: Work, asked: ExportArguments) -> Made:
     work.tell(None, f"Writing {asked.format}")
-    try:
-        options = Options(**asked.options)
-    except TypeError as error:
-        raise InputError(f"The options of an export to {asked.format} cannot be these: {error}.") from error
+    about = asked.options.get("about")
+    options = Options(
+        raw=bool(asked.options.get("raw", False)), about=None if about is None else uploaded(work.output, str(about))
+    )
     wanted = FORMATS[asked.format]
     path = _file(work, asked.dataset, wanted.ending)
     return Made(

@@ -51,7 +51,7 @@ def _log(context: Any, outcome: str) -> None:
     database = context.params.get("database")
     if database is None or not ("://" in str(database) or Path(database).exists()):
         return
-    about = {key: _shown(value) for key, value in context.params.items() if value not in {None, False, ()}}
+    about = {key: _shown(value) for key, value in context.params.items() if _is_said(value)}
     about |= {key.removeprefix("log "): value for key, value in context.meta.items() if key.startswith("log ")}
     for key in ("database", "as_json"):
         about.pop(key, None)
@@ -71,5 +71,12 @@ def account() -> str:
         return str(os.getuid())
 
 
+def _is_said(value: object) -> bool:
+    """Whether it is something: 0 is, an empty list and a switch that is off are not."""
+    return value is not None and value is not False and not (isinstance(value, list | tuple) and not value)
+
+
 def _shown(value: object) -> object:
-    return value if isinstance(value, int | float | str) else str(value)
+    if isinstance(value, list | tuple):
+        return [_shown(each) for each in value]
+    return value if type(value) in {int, float, str, bool} else str(value)

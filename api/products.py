@@ -132,8 +132,11 @@ def _known(difference: float | None) -> str:
 
 
 def write_fits(store: Store, dataset_id: int, path: Path) -> Export:
-    """Write a dataset's fits as JSON, with the metal, distribution, weight and engine of its last fit."""
-    analysis = _analysed(store, dataset_id, AT_THE_END_OF_A_SCAN)
+    """Write a dataset's fits as JSON: those of a scan's end, and of every other model that it was ever fitted with.
+
+    All are of the metal, distribution, weight and engine of the last fit.
+    """
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
     return write_text("json", path, analysis_to_json(analysis, analysis.conductor))
 
 
@@ -150,6 +153,12 @@ def write_mitsuba(store: Store, dataset_id: int, path: Path, model: str | None, 
     _, exports = write_bsdf(path, _analysed(store, dataset_id, (wanted,)), wanted, budget)
     written = exports[0]
     return replace(written, notes=(f"model {wanted}", *written.notes), facts={"model": wanted} | written.facts)
+
+
+def _models_of(store: Store, dataset_id: int) -> tuple[str, ...]:
+    """The models of a scan's end and every other one that a dataset was ever fitted with."""
+    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
+    return tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
 
 
 def _analysed(store: Store, dataset_id: int, models: tuple[str, ...]) -> SampleAnalysis:
@@ -180,12 +189,7 @@ def write_dataset_report(store: Store, dataset_id: int, path: Path) -> Export:
     It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
     metal, distribution, weight and engine of the last fit.
     """
-    dataset = store.dataset(dataset_id)
     scan_id = store.datasets()[dataset_id]
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
-    others = dict.fromkeys(fit.kind for fit in store.fits(dataset_id) if fit.kind in MODELS)
-    models = tuple(dict.fromkeys([*AT_THE_END_OF_A_SCAN, *others]))
-    how = last_way(store, dataset_id)
-    conductor = load_conductor(*conductor_name(how.conductor))
-    analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
+    analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
     return write_analysis_report(path, analysis, facts)

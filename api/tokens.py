@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
-from sqlalchemy import Row, Update, delete, select, update
+from sqlalchemy import Row, Update, bindparam, delete, select, update
 
 from api.accounts import Role, add_user, all_users, at_least, lower, user
 from goniometer.database import Database, insert_row
@@ -29,6 +29,19 @@ OLD = timedelta(days=7)
 log = logging.getLogger(__name__)
 _NOTED = timedelta(minutes=1)
 """How exactly the last use of a token or session is known; noting every use would write for every reading."""
+
+# Built once, because every request of the service asks one of these.
+_OF_TOKEN = (
+    select(tokens, users.c.role.label("owner_role"))
+    .join(users)
+    .where(tokens.c.hash == bindparam("hash"), ~users.c.disabled)
+)
+_OF_SESSION = (
+    select(sessions, users.c.role, tokens.c.role.label("token_role"), tokens.c.expires)
+    .join(users, users.c.name == sessions.c.user)
+    .outerjoin(tokens, tokens.c.id == sessions.c.token_id)
+    .where(sessions.c.hash == bindparam("hash"), ~users.c.disabled)
+)
 
 
 @dataclass(frozen=True)
@@ -127,8 +140,7 @@ def revoke_token(database: Database, token_id: int) -> None:
 
 def token_caller(database: Database, text: str) -> Caller | None:
     """Whose token this is; None where it is nobody's, has expired, or its owner is kept out."""
-    query = select(tokens, users.c.role.label("owner_role")).join(users)
-    found = database.rows(query.where(tokens.c.hash == _digest(text), ~users.c.disabled))
+    found = database.rows(_OF_TOKEN, {"hash": _digest(text)})
     if not found or _is_past(found[0].expires):
         return None
     row = found[0]
@@ -156,18 +168,7 @@ def begin_session(database: Database, name: str, token_id: int | None = None, in
 
 def session_caller(database: Database, secret: str) -> Caller | None:
     """Whose session this is; None where it is nobody's or has ended."""
-    query = (
-        select(
-            sessions,
-            users.c.role,
-            tokens.c.role.label("token_role"),
-            tokens.c.expires,
-        )
-        .join(users, users.c.name == sessions.c.user)
-        .outerjoin(tokens, tokens.c.id == sessions.c.token_id)
-        .where(sessions.c.hash == _digest(secret), ~users.c.disabled)
-    )
-    found = database.rows(query)
+    found = database.rows(_OF_SESSION, {"hash": _digest(secret)})
     if not found:
         return None
     row = found[0]

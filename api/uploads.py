@@ -7,9 +7,9 @@ from pathlib import Path
 from api.derive import make_folder
 from goniometer.errors import InputError, NotInStore
 
-LARGEST = 256 * 1024 * 1024
+LARGEST = 128 << 20
 """Bytes of a file that is taken."""
-MOST = 200
+MOST = 50
 """Uploads that are kept; the oldest go."""
 
 _TOKEN = re.compile(r"[0-9a-f]{32}")

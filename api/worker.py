@@ -98,6 +98,7 @@ class _Worker:
             await asyncio.wait({*jobs, ended}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             failed = [job for job in jobs if job.done()]
+            self.ending.set()
             for job in (*jobs, ended):
                 job.cancel()
             await asyncio.wait({*jobs, ended})
@@ -295,7 +296,8 @@ class _Worker:
 
     async def _look(self) -> None:
         """Tell what the devices do, as long as this process lives."""
-        while True:
+        # a cancellation may come in the same moment as a reply, which Python 3.11 then takes for the end of the matter
+        while not self.ending.is_set():
             await self._look_once()
             await asyncio.sleep(LOOK)
 

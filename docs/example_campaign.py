@@ -34,7 +34,7 @@ entry = bench(calls.enqueue(CAMPAIGN))
 bench(calls.entry_do(entry.id, "start"))
 while (entry := bench(calls.entry(entry.id))).outcome is None:
     if entry.prompt is not None:
-        print(entry.prompt.text)  # on a real bench: do so, look that it lies flat, and only then go on
+        print(entry.prompt.request, entry.prompt.check)  # on a real bench: do both, and only then go on
         bench(calls.entry_do(entry.id, "mounted"))
     time.sleep(0.5)
 print(entry.outcome, entry.reason)

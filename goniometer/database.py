@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -126,10 +126,10 @@ class Database:
         with self._faults(), self._engine.connect() as connection:
             yield connection
 
-    def rows(self, query: Select[Any]) -> Sequence[Row[Any]]:
-        """What a query finds."""
+    def rows(self, query: Select[Any], values: Mapping[str, object] | None = None) -> Sequence[Row[Any]]:
+        """What a query finds, with `values` for its parameters."""
         with self.reading() as connection:
-            return connection.execute(query).all()
+            return connection.execute(query, values).all()
 
     def row(self, query: Select[Any], what: str) -> Row[Any]:
         """The first that a query finds; raises `NotInStore`, in which `what` was looked for."""

@@ -7,6 +7,7 @@ written together or not at all.
 
 import json
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -47,6 +48,7 @@ _COMMAND = select(tables.scans.c.command).where(tables.scans.c.id == bindparam("
 """Built once, for a scan that runs asks many times a second."""
 
 
+@cache  # to build it takes longer than to ask it
 def _counted_scans() -> Subquery:
     """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
     here = tables.scans.c

@@ -4,6 +4,8 @@ import io
 import json
 import os
 import threading
+import zipfile
+import zlib
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -126,7 +128,7 @@ class Datasets:
         file = self._folder / f"filled-{opened.entry.content_hash[:32]}-{software_version()}.npz"
         try:
             return _unpack(file.read_bytes())
-        except (OSError, ValueError, KeyError):  # not there yet, or cut short
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error):  # not there yet, or cut short
             found = fill(dataset, *unmeasured(dataset, STEP))
             self._keep(file, _pack(found))
             return found

@@ -12,11 +12,12 @@ from http import HTTPStatus
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.audit import Via, record_done
-from api.errors import Misdirected, NotAllowed, ServiceError, Unauthorised
+from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthorised
 from api.tokens import Caller, csrf_token
 from api.web.access import Access, caller_of, cookie_name
 from api.web.problems import told
@@ -61,7 +62,7 @@ class Gate:
                 await self._log(request, response.status_code, b"")
             await response(scope, receive, send)
             return
-        if request.method in SAFE or request.url.path in _CHANGES_NOTHING:
+        if request.method in SAFE:
             await self._app(scope, receive, send)
         else:
             await self._watched(request, receive, send)
@@ -87,7 +88,7 @@ class Gate:
                 raise NotAllowed("The header X-CSRF-Token is not that of this session; GET /api/me tells it")
 
     async def _watched(self, request: Request, receive: Receive, send: Send) -> None:
-        body, answered = bytearray(), False
+        body, answered, refused = bytearray(), False, False
 
         async def reading() -> Message:
             message = await receive()
@@ -96,11 +97,17 @@ class Gate:
             return message
 
         async def answering(message: Message) -> None:
-            nonlocal answered
+            nonlocal answered, refused
             if message["type"] == "http.response.start":
                 answered = True
                 await self._log(request, message["status"], bytes(body))
-            await send(message)
+                # the library's own answer to a large body is plain text
+                plain = Headers(raw=message["headers"]).get("content-type", "").startswith("text/plain")
+                refused = message["status"] == HTTPStatus.REQUEST_ENTITY_TOO_LARGE and plain
+                if refused:
+                    await told(TooLarge("More was sent than is read here"))(request.scope, receive, send)
+            if not refused:
+                await send(message)
 
         try:
             await self._app(request.scope, reading, answering)
@@ -111,6 +118,8 @@ class Gate:
     async def _log(self, request: Request, status: int, body: bytes) -> None:
         """Note what somebody did before they learn how it went."""
         caller: Caller | None = request.state.caller
+        if request.url.path in _CHANGES_NOTHING:
+            return
         if caller is None and "login" not in request.state.about:
             return  # somebody who must wait for the next login would otherwise fill the log
         path = request.url.path

@@ -31,6 +31,7 @@ class Upload(BaseModel):
 @router.post(
     "/uploads",
     status_code=201,
+    max_body_size=2 * LARGEST,  # the limit that tells what to do comes first
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -44,9 +45,7 @@ async def upload(
     caller: Operator,
     name: Annotated[str, Query(min_length=1, max_length=120, description="Of the file.", examples=["sample.csv"])],
 ) -> Upload:
-    """Send a file, as it is, to be imported; it is kept until some 200 later ones have come."""
-    if int(request.headers.get("content-length", 0)) > LARGEST:
-        raise _too_large(name)
+    """Send a file, as it is, to be imported; it is kept until some 50 later ones have come."""
     token, path = await run_in_threadpool(new_upload, live.output, name)
     request.state.about["file"] = name
     size = 0
@@ -54,12 +53,15 @@ async def upload(
         async for chunk in request.stream():
             size += len(chunk)
             if size > LARGEST:
-                path.unlink()
-                raise _too_large(name)
+                break
             await run_in_threadpool(file.write, chunk)
+    if 0 < size <= LARGEST:
+        return Upload(upload=token, name=name, size=size)
+    path.unlink()
+    path.parent.rmdir()
     if size == 0:
         raise InputError(f"{name}: nothing was sent; send the content of the file as the body of the request.")
-    return Upload(upload=token, name=name, size=size)
+    raise TooLarge(f"{name} is larger than {LARGEST // 2**20} MiB; import it on the command line of the machine")
 
 
 @router.post("/datasets/import", status_code=202)
@@ -69,7 +71,3 @@ def import_file(asked: ImportAsked, live: Here, caller: Operator) -> JobView:
         if token is not None:
             uploaded(live.output, token)
     return submit(live, caller, "import", asked)
-
-
-def _too_large(name: str) -> TooLarge:
-    return TooLarge(f"{name} is larger than {LARGEST // 2**20} MiB; import it on the command line of the machine")

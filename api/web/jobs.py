@@ -22,7 +22,7 @@ router = APIRouter(prefix="/api/jobs", tags=["jobs"])
 Viewer = Annotated[Caller, needs("viewer")]
 Operator = Annotated[Caller, needs("operator")]
 
-_SEALED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+_SEALED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; sandbox"
 """A page holds its own style and pictures, and no script has anything to do in it."""
 
 

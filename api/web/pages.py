@@ -17,7 +17,6 @@ _HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "cross-origin-opener-policy": "same-origin",
-    "cache-control": "no-store",  # what is measured is nobody's but who asked for it
 }
 
 router = APIRouter()
@@ -37,6 +36,8 @@ class Careful:
                 headers = MutableHeaders(scope=message)
                 for name, value in _HEADERS.items():
                     headers.setdefault(name, value)
+                # what is measured is for who asked for it; what has a tag may be kept, but is asked for again
+                headers.setdefault("cache-control", "private, no-cache" if "etag" in headers else "no-store")
             await send(message)
 
         await self._app(scope, receive, sending if scope["type"] == "http" else send)

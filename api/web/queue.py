@@ -49,7 +49,9 @@ class Place(_Order):
 class Mounted(_Order):
     """What lies on the bench now."""
 
-    scan: int | None = Field(default=None, ge=1, description="Of the prompt that is answered; null for whichever.")
+    scan: int | None = Field(
+        default=None, ge=1, lt=2**63, description="Of the prompt that is answered; null: whichever."
+    )
 
 
 @router.get("")

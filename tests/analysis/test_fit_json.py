@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 
 from analysis.analyse import analyse
+from analysis.brdf_fit import form_of
 from analysis.directions import in_plane
+from analysis.distributions import Distribution
 from analysis.errors import ExportError, OutOfRange
-from analysis.fit_json import analysis_to_json, fit_from_json, fit_to_json
+from analysis.fit_json import analysis_from_json, analysis_to_json, fit_from_json, fit_to_json
+from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
-from analysis.models import cook_torrance
+from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
+from analysis.microfacet import brdf
+from analysis.models import cook_torrance, normalised_fresnel, shift
 from analysis.results import Parameter, SampleAnalysis, Verdict
 from analysis.stored_fit import evaluate
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.errors import InputError
+from tests.drawn_dataset import drawn_dataset
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +82,33 @@ def test_a_reloaded_model_gives_identical_values_in_directions_never_measured(ro
     )
     slope = fit.value("h") * np.cos(fit.value("w") * np.radians(15))
     assert ratio[0, 0] == pytest.approx(1 + 0.1 * slope, rel=1e-12)
+
+
+@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+@pytest.mark.parametrize("model", MODELS[1:])
+def test_every_model_gives_the_same_bits_after_it_was_in_a_file_alone_or_among_all_fits(
+    model: str, distribution: Distribution
+) -> None:
+    drawn = drawn_dataset("sample-2")
+    dataset = drawn.at_points(np.flatnonzero(np.isin(drawn.theta_in, (20, 60)))).at_wavelengths(slice(None, None, 2))
+    analysis = analyse(dataset, models=(model,), distribution=distribution)
+    fit, metal = analysis.model(model), load_conductor()
+    alone = fit_from_json(fit_to_json(fit, dataset, analysis.differences[model], metal))
+    (among,) = analysis_from_json(analysis_to_json(analysis, metal))
+    assert alone.parameters == among.parameters == fit.parameters
+    random = np.random.default_rng(8)
+    theta_in, theta_out = random.uniform(0, 85, 100), random.uniform(-85, 85, 100)
+    wavelengths = random.uniform(dataset.wavelengths[0], dataset.wavelengths[-1], 7)
+    directions, values = in_plane(theta_in, theta_out), np.array([p.value for p in fit.parameters])
+    if model in SLOPE_MODELS:
+        tilt = shift(slope_and_derivative(model, directions, values[:-1])[0], wavelengths, fit.lambda_n)
+        expected = tilt * normalised_fresnel(theta_in, wavelengths, metal, fit.lambda_n) ** fit.value("p")
+    else:
+        albedo = None if fit.albedo is None else np.interp(wavelengths, fit.albedo.wavelengths, fit.albedo.values)
+        form = form_of(model, None if fit.albedo else metal, distribution)
+        expected = brdf(form, directions, wavelengths, values, albedo)
+    for stored in (alone, among):
+        assert np.array_equal(evaluate(stored, theta_in, theta_out, wavelengths), expected)
 
 
 def test_the_reloaded_global_model_gives_the_values_that_were_fitted(rough_analysis: SampleAnalysis) -> None:

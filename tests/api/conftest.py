@@ -55,9 +55,12 @@ def cli(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cli]:
         assert nursery.stdin is not None
         assert nursery.stdout is not None
 
-        def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+        def run(*arguments: object, cwd: Path, typed: str = "") -> subprocess.CompletedProcess[str]:
             command = [str(argument) for argument in arguments]
-            job = {"arguments": command, "cwd": str(cwd), "stdout": str(out), "stderr": str(err), "timeout": TIMEOUT}
+            files = {"stdin": folder / "stdin", "stdout": out, "stderr": err}
+            files["stdin"].write_text(typed)
+            names = {name: str(path) for name, path in files.items()}
+            job = {"arguments": command, "cwd": str(cwd), "timeout": TIMEOUT, **names}
             print(json.dumps(job), file=nursery.stdin, flush=True)
             answer = nursery.stdout.readline()
             assert answer, (folder / "nursery").read_text()

@@ -3,8 +3,8 @@
     python -m tests.api.nursery
 
 Loading takes longer than most commands that tests give. Each line on stdin is a job, a JSON object of the arguments,
-the folder, the files for stdout and stderr and the seconds that it may take; the answer is a line with the exit code,
-or "null" where it took longer. The children have a session of their own, so that what they start ends with them.
+the folder, the files for stdin, stdout and stderr and the seconds that it may take; the answer is a line with the exit
+code, or "null" where it took longer. The children have a session of their own, so that what they start ends with them.
 """
 
 import gc
@@ -42,7 +42,7 @@ def run(job: dict[str, Any]) -> NoReturn:
     os.setsid()
     os.chdir(job["cwd"])
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-    for number, path in enumerate((os.devnull, job["stdout"], job["stderr"])):
+    for number, path in enumerate((job["stdin"], job["stdout"], job["stderr"])):
         file = os.open(path, flags if number else os.O_RDONLY, 0o600)
         os.dup2(file, number)
         os.close(file)

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -257,6 +257,43 @@ def test_what_nobody_known_asks_for_does_not_fill_the_log(live: Live) -> None:
         problem(client.post("/api/users", {"name": "x"}, headers={"Authorization": "Bearer x"}), 401)
         problem(client.post("/api/nowhere"), 401)
     assert logged(live) == []
+
+
+def test_a_large_body_is_read_only_of_who_may_send_it_and_where_files_are_taken(live: Live, browser: Client) -> None:
+    large = b"x" * (5 << 20)
+    sent = 0
+
+    async def body() -> AsyncIterator[bytes]:
+        nonlocal sent
+        for i in range(5):
+            sent += 1
+            yield large[i << 20 : (i + 1) << 20]
+
+    stranger = Client(live)
+    problem(stranger.request("POST", "/api/uploads?name=x.csv", content=body()), 401)
+    assert sent <= 1
+    problem(browser.request("POST", "/api/campaigns/validate", content=large), 413)
+    problem(browser.request("POST", "/api/login", content=large), 413)
+    assert browser.request("POST", "/api/uploads?name=x.csv", content=large).json()["size"] == len(large)
+
+
+@pytest.mark.parametrize(
+    ("path", "asked"),
+    [
+        ("/api/uploads?name=../x.csv", None),
+        ("/api/uploads?name=x%0Ay.csv", None),
+        ("/api/tradeoff", {"kinds": ["models"], "sample": "file:/etc/passwd"}),
+        ("/api/tradeoff", {"kinds": ["models"], "surface": "/etc/passwd"}),
+        ("/api/queue", {"campaign": {"name": "x", "samples": [{"name": "A", "material": "file:/etc/passwd"}]}}),
+        ("/api/queue", {"campaign": "name: x\nsamples: [{name: A, material: sample-1}]\n"
+         "reference: {certificate: ../../../../../etc/passwd}"}),
+    ],
+)  # fmt: skip
+def test_nobody_makes_the_service_read_or_write_other_files(
+    live: Live, browser: Client, path: str, asked: object
+) -> None:
+    detail = problem(browser.post(path, asked), 422)
+    assert "root:" not in detail
 
 
 def test_the_log_shows_whether_it_is_whole_and_in_pages(live: Live, tmp_path: Path) -> None:

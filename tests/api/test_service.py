@@ -1,14 +1,19 @@
 """The service on the simulated bench, over HTTP: what operators rely on at night."""
 
 import asyncio
+import json
 import os
 import signal
 import sqlite3
+import subprocess
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from httpx_sse import connect_sse
 
@@ -18,6 +23,7 @@ from goniometer.certificate_file import certificate_csv
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.materials import PANEL_CERTIFICATE
+from tests.api.conftest import COMMAND
 from tests.served import LONG, TINY, Served, served, wait_for
 
 
@@ -200,3 +206,60 @@ def test_a_listener_who_comes_back_misses_nothing(service: Served, running: int)
 def test_a_listener_who_missed_too_much_is_told_to_read_everything_anew(service: Served, running: int) -> None:
     for lost in ("nonsense", "00000000-5", "x" * 5000):
         assert events(service, 1, lost)[0].event == "reset"
+
+
+@pytest.mark.slow
+def test_a_service_that_is_told_to_end_parks_the_bench_and_the_next_one_goes_on_where_it_stood(folder: Path) -> None:
+    with command(folder) as (process, client):
+        number = client.post("/api/queue", json={"campaign": LONG}).json()["id"]
+        client.post(f"/api/queue/{number}/start").raise_for_status()
+        wait_for(lambda: client.get(f"/api/queue/{number}").json()["points_done"] > 5)
+        listening = threading.Thread(target=listen_to_the_end, args=(client,))
+        listening.start()  # nor does a page that is open somewhere keep it from ending
+        process.send_signal(signal.SIGTERM)
+        output, log = process.communicate(timeout=60)
+        assert process.returncode == 0, log
+        listening.join()
+    assert [json.loads(line)["level"] for line in log.splitlines()], "a log is one object a line"
+    assert client.headers["Authorization"].removeprefix("Bearer ") not in output + log
+    with sqlite3.connect(folder / "goniometer.db") as database:
+        assert database.execute("SELECT phase, outcome FROM scans WHERE started IS NOT NULL").fetchall() == [
+            ("finished", "aborted")
+        ]
+        assert database.execute("SELECT count(*) FROM points WHERE status = 'running'").fetchone() == (0,)
+        assert database.execute("SELECT holder FROM lease").fetchone() == (None,)
+    with command(folder, client.headers["Authorization"]) as (_, client):
+        entry = client.get(f"/api/queue/{number}").json()
+        assert entry["phase"] == "idle"
+        assert "start it again" in entry["reason"]
+        client.post(f"/api/queue/{number}/start").raise_for_status()
+        wait_for(lambda: client.get(f"/api/queue/{number}").json()["points_done"] > entry["points_done"])
+
+
+@contextmanager
+def command(folder: Path, authorization: str | None = None) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]]:
+    """`goniometer serve` as a process of its own, and a client with the token that it prints when it starts first."""
+    arguments = [COMMAND, "serve", "--port", "0", "--mount-by-itself"]
+    process = subprocess.Popen(arguments, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        if authorization is None:
+            authorization = f"Bearer {process.stdout.readline().split('#token=')[1].strip()}"
+        url = next(line for line in process.stderr if "Serves" in line)
+        url = json.loads(url)["message"].split()[1]
+        with httpx.Client(
+            base_url=url, headers={"Authorization": authorization}, timeout=60, trust_env=False
+        ) as client:
+            wait_for(lambda: client.get("/api/instrument").is_success)
+            yield process, client
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def listen_to_the_end(client: httpx.Client) -> None:
+    """Follow the events until the service ends them."""
+    with connect_sse(client, "GET", "/api/events") as source:
+        for _ in source.iter_sse():
+            pass

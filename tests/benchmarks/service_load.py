@@ -186,8 +186,7 @@ def show(
     print(f"CPU time of a point rises by {100 * (costs[True] / costs[False] - 1):.1f} %")
     spent = client_cpu / (TURNS * (TURN + 2))
     print(
-        f"the clients took {100 * spent:.0f} % of a core; "
-        f"every stream saw {events / TURNS / STREAMS:.0f} events a turn\n"
+        f"the clients took {100 * spent:.0f} % of a core; a stream saw {events / TURNS / STREAMS:.0f} events a turn\n"
     )
     print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
     for path, values in latencies.items():

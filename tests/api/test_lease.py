@@ -1,0 +1,126 @@
+"""One service drives the bench, and the queue does what it is told: two handles on one database stand for two."""
+
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from api import lease, queue
+from api.errors import Conflict
+from api.lease import Watcher, read_lease, release_lease, renew_lease, take_lease, take_up_stop
+from goniometer.campaign import Campaign, Sample
+from goniometer.records import now
+from goniometer.store import Store
+
+
+@pytest.fixture
+def stores(tmp_path: Path) -> tuple[Store, Store]:
+    """Two services on one database."""
+    return Store.open(tmp_path / "bench.db"), Store.open(tmp_path / "bench.db")
+
+
+def campaign(name: str) -> Campaign:
+    return Campaign(name=name, samples=(Sample(name="Sample 1", material="sample-1"),))
+
+
+def test_two_services_that_want_the_bench_at_once_do_not_both_get_it(stores: tuple[Store, Store]) -> None:
+    for _ in range(20):
+        won = []
+        before = read_lease(stores[0])
+        both = threading.Barrier(2)
+
+        def want(store: Store, name: str, won: list[object] = won, both: threading.Barrier = both) -> None:
+            both.wait()
+            won.append(take_lease(store, name, f"http://{name}", None))
+
+        threads = [threading.Thread(target=want, args=each) for each in zip(stores, ("a", "b"), strict=True)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        (mine,) = [each for each in won if isinstance(each, lease.Lease)]
+        assert mine.term == (0 if before is None else before.term) + 1
+        release_lease(stores[0], mine)
+
+
+def test_a_service_that_was_taken_for_dead_learns_it_with_its_next_sign_of_life(stores: tuple[Store, Store]) -> None:
+    first = take_lease(stores[0], "a", "http://a", None)
+    assert first is not None
+    stale = read_lease(stores[1])
+    assert renew_lease(stores[0], first) is not None
+    assert take_lease(stores[1], "b", "http://b", stale) is None, "it has shown a sign of life meanwhile"
+    second = take_lease(stores[1], "b", "http://b", read_lease(stores[1]))
+    assert second is not None
+    assert renew_lease(stores[0], first) is None
+    release_lease(stores[0], first)  # changes nothing: it is not its own any more
+    held = read_lease(stores[0])
+    assert held is not None
+    assert held.holder == "b"
+
+
+def test_silence_is_measured_by_the_watchers_own_clock(
+    stores: tuple[Store, Store], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = 1000.0
+    monkeypatch.setattr(lease.time, "monotonic", lambda: clock)
+    held = take_lease(stores[0], "a", "http://a", None)
+    assert held is not None
+    watcher = Watcher()
+    assert watcher.silent_for(held) == 0
+    clock += 25
+    assert watcher.silent_for(held) == 25
+    renewed = renew_lease(stores[0], held)
+    assert renewed is not None
+    assert watcher.silent_for(renewed) == 0
+    assert lease.GIVE_UP + lease.BEAT < lease.EXPIRY, "the holder must have let go before another may take over"
+
+
+def test_a_stop_that_was_passed_on_is_taken_up_once(stores: tuple[Store, Store]) -> None:
+    held = take_lease(stores[0], "a", "http://a", None)
+    assert held is not None
+    assert not take_up_stop(stores[0], held)
+    lease.pass_on_stop(stores[1])
+    assert take_up_stop(stores[0], held)
+    assert not take_up_stop(stores[0], held)
+
+
+def test_entries_run_in_the_order_in_which_they_stand_and_not_before_their_time(stores: tuple[Store, Store]) -> None:
+    store, other = stores
+    late = datetime.now(UTC) + timedelta(hours=1)
+    first = queue.add_entry(store, campaign("first"), "anna", late)
+    second, third = (queue.add_entry(store, campaign(name), "anna") for name in ("second", "third"))
+    assert [first.phase, second.phase] == ["queued", "idle"]
+    assert queue.next_entry(store) is None
+    for each in (second, third):
+        queue.start_entry(other, each.id)
+    queue.move_entry(other, third.id, 1)
+    assert [each.name for each in queue.entries(store)] == ["third", "first", "second"]
+    runs = queue.next_entry(store)
+    assert runs is not None
+    assert (runs.name, runs.phase) == ("third", "running")
+    with pytest.raises(Conflict, match="abort it first"):
+        queue.remove_entry(other, third.id)
+    queue.finish_entry(store, third.id, "failed", "The lamp went out.")
+    again = queue.start_entry(other, third.id)
+    assert (again.phase, again.outcome, again.position) == ("queued", None, 4)
+    following = queue.next_entry(store)
+    assert following is not None
+    assert following.name == "second"
+
+
+def test_after_a_restart_nothing_begins_that_was_started_before(stores: tuple[Store, Store]) -> None:
+    store, _ = stores
+    names = ("running", "before", "after")
+    entries = {name: queue.add_entry(store, campaign(name), "anna").id for name in names}
+    queue.start_entry(store, entries["running"])
+    queue.start_entry(store, entries["before"])
+    assert queue.next_entry(store) is not None
+    time.sleep(0.01)  # moments are written down in milliseconds
+    restarted = now()
+    queue.start_entry(store, entries["after"])
+    queue.interrupt(store, "It ended.")
+    queue.hold(store, "Look first.", restarted)
+    found = {each.name: (each.phase, each.reason) for each in queue.entries(store)}
+    assert found == {"running": ("idle", "It ended."), "before": ("idle", "Look first."), "after": ("queued", "")}
