@@ -51,7 +51,7 @@ class Grid(NamedTuple):
 
 
 USUAL_GRID = Grid(32, 80, 0.0)
-"""Good to about a per cent for every model of the ladder; 0.8 MB a wavelength."""
+"""Good to a per cent or two for the usual models of the ladder; 0.8 MB a wavelength."""
 
 
 def bsdf_content(reflectance: Reflectance, alpha: float, wavelengths: FloatArray) -> bytes:
