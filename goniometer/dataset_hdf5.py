@@ -163,7 +163,8 @@ def _text() -> Any:
 
 def _write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
     """Raw spectra of one scan in the order in which they were written; NaN where a dark has no direction."""
-    group.attrs["constants"] = constants_json(constants)
+    group["constants"] = constants_json(constants)
+    group["constants"].attrs["type"] = "application/json"
     _array(group, "wavelength", constants.wavelengths, "nm", "of each pixel, by the spectrometer's coefficients")
     if not exposures:
         return
