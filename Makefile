@@ -7,20 +7,26 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed-from
 WANTED := $(shell cat requirements.lock pyproject.toml 2>/dev/null | cksum)
 
-.PHONY: demo test check lock clean $(VENV)
+.PHONY: demo test check ui lock clean $(VENV)
 
 demo: $(VENV)
 	$(BIN)/goniometer demo
 
+# Three workers keep two cores busy, for tests of devices that do not answer wait in real time.
 test: $(VENV)
 	@$(MAKE) --no-print-directory check
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 check: $(VENV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Builds the pages of the service into api/static; only who changes them needs Node.
+ui: $(VENV)
+	$(BIN)/python -m api.web.openapi > api/ui/openapi.json
+	cd api/ui && npm ci && npm run types && npm run check && npm run build
 
 # The environment is rebuilt from nothing when the lock or pyproject.toml has changed, and left alone otherwise.
 $(VENV):

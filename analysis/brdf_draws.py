@@ -1,10 +1,9 @@
 """What a measured BRDF may be instead, for all that its measurement does not know: draws of its errors.
 
 They are errors of the colour that a direction gives to white light. What comes from reading between the points, and
-from their noise, is drawn from the covariance of the process that reads, as an error of brightness alike in
-neighbouring directions. What wavelengths share is drawn from the sources of the dataset, each with the spectrum and the
-points that share it, and passed through the weights of the reading; of noise, which the process knows as brightness,
-the colour is added in the same way.
+from their noise, is drawn from the covariance of the process that reads, which says how alike it is in neighbouring
+directions and at other wavelengths. What wavelengths share is drawn from the sources of the dataset, each with the
+spectrum and the points that share it, and passed through the weights of the reading.
 """
 
 import numpy as np
@@ -15,7 +14,6 @@ from drivers.arrays import FloatArray
 from goniometer.between import Between
 from goniometer.dataset import Dataset
 from goniometer.kernel import coordinates, covariance, variance
-from goniometer.uncertainty import ErrorSource
 
 DRAWS = 40
 """Of what the measurement does not know."""
@@ -36,44 +34,40 @@ def drawn_errors(dataset: Dataset, read: Between, seed: int) -> FloatArray:
     level = np.maximum(read.brdf, DARKEST)
     # the process reads ln(offset + cos f), which in the dark changes less than ln f
     stretch = (1 + read.shape.offset / (cosine * level)) @ share
-    of_points = _errors_of_points(dataset, read, share, random)
+    of_points = _shared_errors(dataset, read, share, random)
     through = np.einsum("pnm,dpmc->dnc", read.weights, of_points, optimize=True) * stretch
-    brightness = (read.u / level) @ share[:, 1:2]
-    drawn = brightness * _alike_nearby(read, random)[..., None] + through
+    own = read.u / level
+    of_reading = np.einsum("wc,nw,wv,nv,ve->nce", share, own, read.together, own, share, optimize=True)
+    values, vectors = np.linalg.eigh(of_reading)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
+    drawn = np.einsum("nck,dkn->dnc", root, _alike_nearby(read, random)) + through
     return np.asarray(drawn / np.maximum(drawn.std(axis=0) / _LARGEST, 1.0))
 
 
-def _errors_of_points(dataset: Dataset, read: Between, share: FloatArray, random: np.random.Generator) -> FloatArray:
-    """[draws, patterns, points, 3] errors of ln(offset + cos f) of the measured points by all sources, as colours."""
+def _shared_errors(dataset: Dataset, read: Between, share: FloatArray, random: np.random.Generator) -> FloatArray:
+    """[draws, patterns, points, 3] errors of ln(offset + cos f) of the measured points, those that wavelengths share.
+
+    As colours, of the wavelengths of each pattern of the reading.
+    """
     cosine = np.cos(np.radians(dataset.theta_in))[:, None]
     per_brdf = cosine / (read.shape.offset + np.nan_to_num(np.maximum(dataset.brdf, 0.0)) * cosine)
     patterns = len(read.weights)
     of_pattern = (read.pattern[:, None] == np.arange(patterns))[:, :, None] * share[:, None]
     found = np.zeros((DRAWS, patterns, dataset.theta_in.size, 3))
     for source in dataset.sources:
-        found += _drawn(source, source.values * per_brdf, of_pattern, random)
+        if not source.shared_by_wavelengths:
+            continue
+        groups = np.arange(dataset.theta_in.size) if source.groups is None else source.groups
+        numbers = random.standard_normal((DRAWS, 1, int(groups.max()) + 1, 1))[:, :, groups]
+        found += numbers * np.einsum("mw,wpc->pmc", source.values * per_brdf, of_pattern)
     return found
 
 
-def _drawn(source: ErrorSource, effect: FloatArray, of_pattern: FloatArray, random: np.random.Generator) -> FloatArray:
-    """[draws, patterns, points, 3] of one source; `effect` [points, wavelengths], `of_pattern` [wavelengths, patterns,
-    3]."""
-    points, wavelengths = effect.shape
-    groups = np.arange(points) if source.groups is None else source.groups
-    count = int(groups.max()) + 1
-    if source.shared_by_wavelengths:
-        colours = np.einsum("mw,wpc->pmc", effect, of_pattern)
-        return np.asarray(random.standard_normal((DRAWS, 1, count, 1))[:, :, groups] * colours)
-    noise = random.standard_normal((DRAWS, count, wavelengths))[:, groups] * effect
-    colours = np.einsum("dmw,wpc->dpmc", noise, of_pattern, optimize=True)
-    return np.asarray(colours - colours[..., 1:2])
-
-
 def _alike_nearby(read: Between, random: np.random.Generator) -> FloatArray:
-    """[draws, directions] standard normal numbers with the correlation of the process."""
+    """[draws, 3, directions] standard normal numbers with the correlation of the process between directions."""
     at = coordinates(read.theta_in, read.theta_out, read.shape.lobe)
     sigma = np.sqrt(variance(at, read.shape.scales))
     correlation = covariance(at, at, read.shape.scales) / np.outer(sigma, sigma)
     correlation[np.diag_indices_from(correlation)] += 1e-6
     factor = cholesky(correlation, lower=True, overwrite_a=True, check_finite=False)
-    return np.asarray(random.standard_normal((DRAWS, sigma.size)) @ factor.T)
+    return np.asarray(random.standard_normal((DRAWS, 3, sigma.size)) @ factor.T)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.brdf_fit import form_of
-from analysis.brdf_table import BrdfTable
+from analysis.brdf_table import BrdfTable, Visibility
 from analysis.colour import COLOUR_RANGE
 from analysis.errors import ExportError, OutOfRange
 from analysis.fresnel import Conductor
@@ -55,14 +55,26 @@ def rendered(model: Model) -> RenderedModel:
             return RenderedModel(model, model.alpha, 0.0, _range(model.wavelengths), words)
         case BrdfTable():
             words = "A table of the measurement by theta_h and theta_d of the half vector"
-            base = 0.0 if model.alpha else float(np.exp(model.log_q).mean(axis=-1).min())
-            return RenderedModel(model, model.alpha or 1.0, base, _range(model.wavelengths), words)
+            alpha, base = _of_guide(model)
+            return RenderedModel(model, alpha, base, _range(model.wavelengths), words)
         case Microfacet():
             base, known = 0.0, model.form.conductor.wavelengths if model.form.conductor else None
             if model.albedo is not None:
                 base, known = float(model.albedo.values.mean()) / math.pi, model.albedo.wavelengths
             span = SPECTRAL_RANGE if known is None else _range(known)
             return RenderedModel(model, float(model.parameters[0]), base, span, _words(model.form, model.parameters))
+
+
+def _of_guide(table: BrdfTable) -> tuple[float, float]:
+    """Roughness of the lobe of a table, and about what is alike in all its directions, 1/sr."""
+    match table.guide:
+        case Visibility(alpha):
+            return alpha, 0.0
+        case Lambert() | Tinted() | Microfacet() as guide:
+            of_guide = rendered(guide)
+            return of_guide.alpha, of_guide.base * float(np.exp(table.log_q).mean(axis=-1).min())
+        case _:
+            return 1.0, 0.0
 
 
 def of_fit(fit: ModelFit, conductor: Conductor) -> Microfacet:

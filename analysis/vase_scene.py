@@ -8,8 +8,8 @@ computed here. The material is the BSDF with the id "sample".
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from drivers.arrays import FloatArray
 
@@ -20,7 +20,7 @@ SAMPLES = 256
 """Of a pixel, in a scene file."""
 
 DEPTH = 6
-"""Longest way of light, in segments."""
+"""Longest way of light, in segments; at 2 it is reflected once."""
 
 _PROFILE = np.array(
     [
@@ -45,13 +45,14 @@ class SceneFiles:
     """What must lie beside it, by name."""
 
 
-def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES) -> SceneFiles:
+def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES, depth: int = DEPTH) -> SceneFiles:
     """A scene that shows a material, in a picture of `pixels` x `pixels`.
 
-    `material` is its XML, a `<bsdf>` with the id "sample"; files that it names must be put beside the scene.
+    `samples` are of a pixel, `depth` is that of `DEPTH`. `material` is its XML, a `<bsdf>` with the id "sample"; files
+    that it names must be put beside the scene.
     """
     xml = f"""<scene version="3.0.0">
-  <integrator type="path"><integer name="max_depth" value="{DEPTH}"/></integrator>
+  <integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
   <sensor type="perspective">
     <float name="fov" value="21"/>
     <transform name="to_world"><lookat origin="0, -6.6, 2.5" target="0, 0, 0.98" up="0, 0, 1"/></transform>
@@ -81,7 +82,7 @@ def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES) -> Scen
 def vase(around: int = 120, along: int = 120) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
     """Vertices and unit normals [vertices, 3], and triangles [triangles, 3] counter-clockwise from outside."""
     steps = np.linalg.norm(np.diff(_PROFILE, axis=0), axis=1)
-    curve = CubicSpline(np.concatenate([[0.0], np.cumsum(steps)]), _PROFILE)
+    curve = scipy.interpolate.CubicSpline(np.concatenate([[0.0], np.cumsum(steps)]), _PROFILE)
     s, phi = np.meshgrid(np.linspace(0, steps.sum(), along), 2 * np.pi * np.arange(around) / around, indexing="ij")
     (radius, height), (by_s, up_by_s) = (np.moveaxis(curve(s, order), -1, 0) for order in (0, 1))
     radius = np.maximum(radius, 0.0)

@@ -36,6 +36,9 @@ class Between:
     weights: FloatArray
     """[patterns, points, dataset's points] change of ln(offset + cos(theta_in) f) for that of a measured point; zero
     for points that took no part."""
+    together: FloatArray
+    """[wavelengths, wavelengths] correlation of the errors in `u`, as of the process; zero between wavelengths that
+    were read with other weights."""
     pattern: NDArray[np.intp]
     """[wavelengths] which of the `weights` a wavelength was read with: there is a set for each choice of points that
     have a value."""
@@ -67,6 +70,7 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
     u, shared = np.empty_like(brdf), np.empty_like(brdf)
     patterns, which = np.unique(np.isfinite(values), axis=1, return_inverse=True)
     weights = np.zeros((patterns.shape[1], theta_in.size, dataset.theta_in.size))
+    together = np.eye(dataset.wavelengths.size)
     for i, pattern in enumerate(patterns.T):
         bands = np.flatnonzero(which == i)
         if np.count_nonzero(pattern) < FEWEST:
@@ -84,6 +88,8 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
         brdf[:, bands] = np.maximum(level - shape.offset, 0.0)
         u[:, bands] = level * np.sqrt(variance)
         weights[i][:, usable[pattern]] = through.T
+        root = np.sqrt(np.diag(process.spread))
+        together[np.ix_(bands, bands)] = process.spread / np.outer(root, root)
         shared[:, bands] = level * np.sqrt(_shared(dataset, bands, weights[i], shape.offset))
     target = np.cos(np.radians(theta_in))[:, None]
     return Between(
@@ -94,6 +100,7 @@ def interpolate(dataset: Dataset, theta_in: FloatArray, theta_out: FloatArray) -
         u / target,
         np.hypot(u, shared) / target,
         weights,
+        together,
         np.asarray(which).ravel(),
         shape,
     )

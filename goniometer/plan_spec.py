@@ -124,12 +124,13 @@ def uniform_grid_size(spec: PlanSpec, step: float = 1.0) -> int:
 def reference_points(spec: PlanSpec, step: float = 10.0) -> list[Geometry]:
     """The directions of the reference scan: every `step` degrees from one end, and all edges; in visiting order.
 
-    A sample's point finds the instrument's response by interpolation between them. The default range avoids
+    A sample's point finds the instrument's response by interpolation between them. The incident angles are those that
+    the samples' scans visit: in a scene the ones that matter to it. The default range avoids
     theta_out = 0, where the azimuth of the reflected light turns over and the panel's nominal BRDF jumps.
     """
     count = int(np.floor((spec.highest - spec.lowest) / step + SAME)) + 1
     wanted = [float(spec.lowest + step * i) for i in range(count)]
-    return ordered([Geometry(t, a) for t in spec.theta_in for a in _within(spec, t, wanted)], spec.motion)
+    return ordered([Geometry(t, a) for t in incident(spec) for a in _within(spec, t, wanted)], spec.motion)
 
 
 def uniform(spec: PlanSpec, step: float) -> list[Geometry]:

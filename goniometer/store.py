@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import Subquery, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -44,6 +44,8 @@ from goniometer.track import Passage
 
 _REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
+_COMMAND = select(tables.scans.c.command).where(tables.scans.c.id == bindparam("scan"))
+"""Built once, for a scan that runs asks many times a second."""
 
 
 @cache  # to build it takes longer than to ask it
@@ -224,9 +226,7 @@ class Store(Derived):
     def command(self, scan_id: int) -> Command | None:
         """What was asked for and not taken up yet."""
         with self.reading() as connection:
-            command: Command | None = connection.execute(
-                select(tables.scans.c.command).where(tables.scans.c.id == scan_id)
-            ).scalar()
+            command: Command | None = connection.execute(_COMMAND, {"scan": scan_id}).scalar()
             return command
 
     def clear_command(self, scan_id: int, taken: Command | None = None) -> None:
@@ -431,8 +431,3 @@ class Store(Derived):
             )
             for row in self.rows(query)
         ]
-
-    def exposures_of_point(self, point_id: int) -> list[int]:
-        """Ids of all raw exposures of a point, in the order in which they were written."""
-        here = tables.exposures.c
-        return [row.id for row in self.rows(select(here.id).where(here.point_id == point_id).order_by(here.id))]

@@ -321,7 +321,9 @@ def test_a_fit_is_exported_with_its_albedo_and_what_it_was_fitted_to(
 def test_a_table_of_the_measurement_is_exported_too(tmp_path: Path) -> None:
     theta_h, theta_d = np.linspace(0, 90, 72), np.linspace(0, 90, 31)
     lobe = 0.5 * np.exp(-((theta_h / 25) ** 2))[:, None, None] + 0.02 + np.zeros((72, 31, 3))
-    table = BrdfTable(theta_h, theta_d, np.array([390.0, 550, 710]), np.log(lobe), None)
+    nodes = np.array([390.0, 550, 710])
+    one = Lambert(nodes, np.full(nodes.size, np.pi))
+    table = BrdfTable(theta_h, theta_d, nodes, np.log(lobe), one)
     report = write_bsdf(tmp_path / "x.bsdf", table, Budget(0.05, 1.0))
     assert report.within_budget
     assert report.wavelengths[[0, -1]].tolist() == [390.0, 710.0]

@@ -8,6 +8,7 @@ code, or "null" where it took longer. The children have a session of their own, 
 """
 
 import gc
+import importlib
 import json
 import os
 import signal
@@ -19,9 +20,14 @@ from typing import Any, NoReturn
 
 from api.cli import main
 
+HEAVY = ("colour", "lmfit", "matplotlib.pyplot", "scipy.interpolate", "scipy.ndimage", "scipy.stats")
+"""What the commands load where they use it."""
+
 
 def serve() -> None:
     """Do one job after the other until stdin ends."""
+    for name in HEAVY:
+        importlib.import_module(name)
     gc.freeze()  # what is loaded stays; a child that ends need not look through it
     for line in sys.stdin:
         job = json.loads(line)

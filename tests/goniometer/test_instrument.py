@@ -253,7 +253,10 @@ class Wrong:
     async def state(self):
         return StageState(StagePhase.READY, self.readings.pop(0))
 
-    async def move_to(self, _):
+    async def begin_move(self, _):
+        return 0.0
+
+    async def arrive(self, _, __):
         return self.readings.pop(0)
 
     async def position(self):

@@ -10,7 +10,7 @@ import pytest
 from goniometer.campaign_file import load_campaign
 from goniometer.errors import CampaignError
 from goniometer.plan import Measured, next_points, reached
-from goniometer.plan_spec import coarse, incident, plan_spec
+from goniometer.plan_spec import coarse, incident, plan_spec, reference_points
 from goniometer.scene_weights import STEP_D, STEP_H, SceneWeights, weights_on_nodes
 from tests.benchmarks.sampling import measure
 from tests.benchmarks.sampling_materials import MATERIALS
@@ -84,6 +84,11 @@ def test_a_scan_for_a_scene_needs_few_points_and_says_when_it_is_accurate(tmp_pa
     assert told.stopped == "accuracy"
     assert told.colour_error <= 0.5
     assert len(measured) <= 50
+    panel = reference_points(spec)
+    assert len(panel) < 0.7 * len(reference_points(usual))
+    for point in measured:  # else they would have no value
+        angles = [g.theta_out for g in panel if g.theta_in == point.geometry.theta_in]
+        assert min(angles) <= point.geometry.theta_out <= max(angles)
 
 
 @pytest.mark.parametrize(

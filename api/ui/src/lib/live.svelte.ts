@@ -1,84 +1,10 @@
 /** What the bench and the queue are at now: asked once, then followed by server-sent events. */
 
 import { get, Problem } from './session.svelte';
+import type { Schemas } from './types';
 
-export interface Span {
-  seconds: number;
-  low: number;
-  high: number;
-}
-
-export interface Prompt {
-  entry: number;
-  scan: number;
-  sample: string;
-  kind: 'reference' | 'sample' | 'spot';
-  request: string;
-  check: string;
-  since: string;
-}
-
-export interface Running {
-  entry: number;
-  campaign: string;
-  scan: number;
-  sample: string;
-  kind: 'reference' | 'sample' | 'spot';
-  phase: 'idle' | 'running' | 'pausing' | 'paused' | 'aborting' | 'finished';
-  done: number;
-  failed: number;
-  expected: number;
-  theta_in: number | null;
-  theta_out: number | null;
-  bench_elapsed: number;
-  bench_remaining: Span;
-  remaining: number | null;
-  waiting: string | null;
-}
-
-export interface Bench {
-  phase: 'disconnected' | 'connecting' | 'ready' | 'busy' | 'running' | 'stopping';
-  doing: string;
-  possible: string[];
-  driver: { url: string; host: string; process: number; since: string; here: boolean } | null;
-  simulated: boolean;
-  stages: { name: 'sample' | 'detector'; angle: number | null; phase: string; moving: boolean; limits: [number, number] }[];
-  theta_in: number | null;
-  theta_out: number | null;
-  blocked_half_width: number;
-  detector_temperature: number | null;
-  cooler_set_point: number;
-  lamp_on_for: number | null;
-  shutter: 'open' | 'closed' | 'unknown';
-  integration_time: number | null;
-  integration_limits: [number, number] | null;
-  spectrum: number | null;
-  running: Running | null;
-  prompt: Prompt | null;
-  alarms: { text: string; since: string }[];
-}
-
-export interface Entry {
-  id: number;
-  position: number;
-  campaign: string;
-  campaign_id: number | null;
-  phase: 'idle' | 'queued' | 'running' | 'pausing' | 'paused' | 'aborting' | 'finished';
-  outcome: 'completed' | 'aborted' | 'failed' | null;
-  reason: string;
-  who: string;
-  start_after: string | null;
-  created: string;
-  started: string | null;
-  finished: string | null;
-  scans: { id: number; name: string; kind: 'reference' | 'sample' | 'spot'; phase: string; outcome: string | null; points_done: number }[];
-  scan: number | null;
-  points_done: number;
-  points_expected: number | null;
-  remaining: Span | null;
-  pause_takes_effect: string | null;
-  prompt: Prompt | null;
-}
+export type Bench = Schemas['BenchState'];
+export type Entry = Schemas['EntryView'];
 
 export interface Page<T> {
   items: T[];

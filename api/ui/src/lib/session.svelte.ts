@@ -1,12 +1,9 @@
 /** Who sits at this browser, and how requests carry that. */
 
-export type Role = 'viewer' | 'operator' | 'metrologist' | 'admin';
+import type { Schemas } from './types';
 
-export interface Me {
-  name: string;
-  role: Role;
-  csrf: string | null;
-}
+export type Me = Schemas['Me'];
+export type Role = Me['role'];
 
 const RANK: Record<Role, number> = { viewer: 0, operator: 1, metrologist: 2, admin: 3 };
 
@@ -29,7 +26,7 @@ export class Problem extends Error {
     readonly status: number,
     readonly title: string,
     detail: string,
-    readonly errors: { where?: string; message: string }[] = [],
+    readonly errors: Schemas['Fault'][] = [],
   ) {
     super(detail);
   }
