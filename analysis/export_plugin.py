@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.bsdf_energy import clamp
 from analysis.errors import ExportError
+from analysis.export_mitsuba import clamping_words
 from analysis.ladder import Microfacet
 from analysis.mitsuba_run import bsdf_element
 from analysis.vase_scene import SceneFiles, vase_scene
@@ -46,6 +48,12 @@ def plugin_material(model: Microfacet) -> str:
         h, w = (float(value) for value in model.parameters[form.first_of_shift :])
         parameters += [_number("h", h), _number("w", w)]
     return bsdf_element("ggx_shift", "".join(f"\n    {parameter}" for parameter in parameters) + "\n  ")
+
+
+def limiting_words(model: Microfacet) -> str:
+    """What the plugin does to a model so that it reflects no more than all, a sentence; empty where it does nothing."""
+    alpha, wavelengths = float(model.parameters[0]), np.arange(_RANGE[0], _RANGE[1] + 1, 2 * SPECTRUM_STEP)
+    return clamping_words(clamp(model, alpha, wavelengths))
 
 
 def plugin_scene(model: Microfacet, about: str) -> SceneFiles:

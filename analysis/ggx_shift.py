@@ -26,6 +26,8 @@ a neutral metal. A `mono` variant has it at that of luminance. `polarized` varia
 Nothing in the equations keeps a strong shift, or a bright dielectric at grazing angles, from reflecting more light than
 falls in. Where the albedo A of a direction exceeds one, f is divided by the larger of A(theta_i) and A(theta_o), at the
 wavelength in question; that keeps it reciprocal, and leaves it as it is everywhere else. Mitsuba's log then says so.
+
+`mitsuba.traverse` finds all parameters; in vectorised variants they can be changed, and images differentiated by them.
 """
 
 import math
@@ -59,6 +61,13 @@ MOST = 1.001
 
 _NOTHING = 1e-30
 """Added where zero would be divided by, or have its root taken; single precision still has it."""
+
+
+_COLUMNS = 48
+"""Wavelengths at which the albedo is known in a spectral variant."""
+
+_COSINES = np.maximum(np.linspace(0, 1, 24) ** 2, 1e-3)
+"""Of the angles at which it is known; the square makes them dense at grazing ones."""
 
 
 class GGXShift:
@@ -296,11 +305,6 @@ def _tabulated(texture: Any, wavelengths: NDArray[np.float64]) -> NDArray[np.flo
         si.wavelengths = mi.Spectrum(*wavelengths[start : start + size].tolist())
         found.append(np.ravel(np.array(dr.detach(texture.eval(si)))))
     return np.concatenate(found).astype(float)
-
-
-_COLUMNS = 48
-_COSINES = np.maximum(np.linspace(0, 1, 24) ** 2, 1e-3)
-"""Of the angles at which the albedo is known; the square makes them dense at grazing ones."""
 
 
 def _lobe_albedo(

@@ -8,8 +8,8 @@ computed here. The material is the BSDF with the id "sample".
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 import scipy
+from numpy.typing import NDArray
 
 from drivers.arrays import FloatArray
 

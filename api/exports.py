@@ -130,7 +130,8 @@ FORMATS: dict[str, Format] = {
     "mitsuba-plugin": Format(
         "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
         "xml",
-        lambda store, dataset_id, path, _: write_plugin_scene(store, dataset_id, path),
+        lambda store, dataset_id, path, options: write_plugin_scene(store, dataset_id, path, options.model),
+        ("model",),
     ),
 }
 """By the name that `goniometer export --to` takes."""

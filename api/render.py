@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from analysis.brdf_fit import BRDF_MODELS
 from analysis.export_mitsuba import describe, write_bsdf
-from analysis.export_plugin import plugin_material, plugin_scene
+from analysis.export_plugin import limiting_words, plugin_material, plugin_scene
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import Conductor, load_conductor
 from analysis.ladder import Microfacet
@@ -22,6 +23,7 @@ from analysis.vase_scene import SceneFiles, vase_scene
 from api.derive import Export, make_folder, write_bytes, write_file
 from api.products import conductor_name, last_way
 from goniometer.dataset import Dataset
+from goniometer.errors import InputError
 from goniometer.store import Store
 
 Through = Literal["plugin", "bsdf"]
@@ -90,16 +92,28 @@ def render_dataset(
     return RenderedDataset(dataset.sample, names, comparison, pictures, variant, through, tuple(notes), files)
 
 
-def write_plugin_scene(store: Store, dataset_id: int, path: Path) -> Export:
-    """Write a dataset's Cook-Torrance with shift as a scene for the plugin ggx_shift, with what it needs beside it."""
-    dataset, fits, metal = _fitted(store, dataset_id, METAL[1:])
-    fit = fits[-1]
-    scene = plugin_scene(of_fit(fit, metal), describe(fit, dataset))
+def write_plugin_scene(store: Store, dataset_id: int, path: Path, model: str | None) -> Export:
+    """Write a fitted model of a dataset as a scene for the plugin ggx_shift, with what it needs beside it.
+
+    Without `model` it is Cook-Torrance with shift. Raises `InputError` for a model of no brightness, and `ExportError`
+    for one that the plugin does not have.
+    """
+    wanted = model or METAL[1]
+    if wanted not in BRDF_MODELS:
+        raise InputError(f'"{wanted}" is no model that can be rendered; there are {", ".join(BRDF_MODELS)}.')
+    dataset, fits, metal = _fitted(store, dataset_id, (wanted,))
+    reflectance = of_fit(fits[-1], metal)
+    about = describe(fits[-1], dataset)
+    if limited := limiting_words(reflectance):
+        about += f"\n{limited}"
+    scene = plugin_scene(reflectance, about)
     for name, content in scene.files.items():
         write_bytes("mitsuba-plugin", path.with_name(name), content)
     export = write_file("mitsuba-plugin", path, lambda part: part.write_text(scene.xml, encoding="utf-8"))
-    beside = ", ".join(scene.files)
-    return replace(export, notes=(f"Beside it: {beside}.",), facts={"beside": sorted(scene.files)})
+    notes = (f"model {wanted}", f"beside it: {', '.join(scene.files)}", *([limited] if limited else []))
+    return replace(
+        export, notes=notes, facts={"model": wanted, "beside": sorted(scene.files), "clamped": limited or None}
+    )
 
 
 def _fitted(store: Store, dataset_id: int, models: tuple[str, ...]) -> tuple[Dataset, tuple[ModelFit, ...], Conductor]:

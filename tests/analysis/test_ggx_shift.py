@@ -279,8 +279,9 @@ def test_the_file_of_the_plugin_renders_a_scene_where_nothing_else_of_ours_is(tm
 
 
 @pytest.mark.slow
-def test_where_a_vectorised_variant_works_mitsubas_own_test_accepts_the_samples() -> None:
+def test_where_a_vectorised_variant_works_mitsuba_accepts_the_samples_and_differentiates() -> None:
     code = """
+import drjit as dr
 import mitsuba as mi
 import analysis.ggx_shift
 mi.set_variant("llvm_ad_rgb")
@@ -292,6 +293,20 @@ for parameters in ({"eta": uniform(0.73), "k": uniform(5.75)}, {"int_ior": 1.5, 
         sample, pdf = BSDFAdapter("ggx_shift", bsdf, wi=[0.766, 0.0, 0.6428])
         test = ChiSquareTest(SphericalDomain(), sample, pdf, sample_dim=3, ires=16, sample_count=200000)
         assert test.run(test_count=4, quiet=True), test.messages
+
+bsdf = mi.load_dict({"type": "ggx_shift", "eta": uniform(0.73), "k": uniform(5.75), "h": 0.4, "w": 2.3})
+at, parameters = mi.SurfaceInteraction3f(), mi.traverse(bsdf)
+at.wi = [0.6, 0, 0.8]
+red = lambda: bsdf.eval(mi.BSDFContext(), at, mi.Vector3f(-0.5, 0, 0.866))[0]
+before = red()
+parameters["h"] = mi.Float(0.5)
+parameters.update()
+change = (red() - before) / 0.1
+dr.enable_grad(parameters["h"])
+parameters.update()
+value = red()
+dr.forward(parameters["h"])
+assert abs(dr.grad(value)[0] / change[0] - 1) < 1e-3
 print("accepted")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
