@@ -27,8 +27,6 @@ from goniometer.geometry import LARGEST_ANGLE
 ROWS, COLUMNS = 72, 31
 """Nodes in theta_h, dense in the lobe, and in theta_d."""
 
-_MARGIN = 12.0
-
 
 @dataclass(frozen=True)
 class BrdfTable:
@@ -175,10 +173,9 @@ def table_nodes(alpha: float) -> tuple[FloatArray, FloatArray]:
 
 def _visible(dataset: Dataset) -> Dataset:
     """The dataset at the wavelengths that make a colour, and at points that have all of them."""
-    low, high = COLOUR_RANGE[0] - _MARGIN, COLOUR_RANGE[1] + _MARGIN
-    bands = np.flatnonzero((dataset.wavelengths >= low) & (dataset.wavelengths <= high))
-    observer_needs = dataset.wavelengths[bands]
-    # every third of a fine grid: reflectances are smooth, and light and observer are not thinned
-    stride = max(1, int(10.0 / np.median(np.diff(observer_needs)))) if observer_needs.size > 1 else 1
+    first = int(np.searchsorted(dataset.wavelengths, COLOUR_RANGE[0], side="right")) - 1
+    bands = np.arange(first, int(np.searchsorted(dataset.wavelengths, COLOUR_RANGE[1])) + 1)
+    # some of a fine grid: reflectances are smooth, and light and observer are not thinned
+    stride = max(1, int(10.0 / np.median(np.diff(dataset.wavelengths[bands]))))
     bands = np.union1d(bands[::stride], bands[-1:])
     return dataset.at_wavelengths(bands)

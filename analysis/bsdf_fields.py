@@ -8,8 +8,9 @@ its retro direction,
 
 what is left for the table is bounded and smooth. For a Cook-Torrance lobe this ndf is D F(0), of whatever distribution
 it is, so the steep lobe never has to be interpolated coarsely; `base` is what is alike in all directions, the diffuse
-light below a lobe, of which the table then has cos(theta_o). A share of the table's nodes may follow the normals that
-are visible from theta_i; the others are even in sqrt(theta_m) and phi_m.
+light below a lobe, of which the table then has cos(theta_o). A wide lobe is better left in the table, where it and its
+masking bend in opposite ways: ndf is then one number, and sigma that of the widest lobe. A share of the table's nodes
+may follow the normals that are visible from theta_i; the others are even in sqrt(theta_m) and phi_m.
 
 Conventions: u_x = sqrt(2 theta_m / pi), phi_m - phi_i = (2 u_y - 1) pi.
 """
@@ -18,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.directions import Directions, from_vectors
+from analysis.directions import Directions
 from analysis.tensor_file import Tensor, encode
 from analysis.vertices import Reflectance
 from drivers.arrays import FloatArray
@@ -34,7 +35,6 @@ _LOWEST_COS_I = 1e-3  # of the last slice: below it sigma is as good as the one 
 _SIGMA_NODES = 129
 _WARP_ROWS, _WARP_COLUMNS = 8, 64
 _DARKEST_LOBE = 1e-12  # of its brightest; far below all that is seen, and still a number in f32
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class Grid(NamedTuple):
@@ -46,6 +46,8 @@ class Grid(NamedTuple):
     """Per side of the unit square."""
     share: float
     """Of the nodes of the square that follow the visible normals, 0 to below 1."""
+    whole: bool = False
+    """Whether the lobe is left in the table."""
 
 
 USUAL_GRID = Grid(32, 80, 0.0)
@@ -89,7 +91,8 @@ def fine_lobe_table(
 def bsdf_fields(
     reflectance: Reflectance, alpha: float, wavelengths: FloatArray, grid: Grid, lobe: FloatArray
 ) -> dict[str, Tensor]:
-    """The fields of a file with `lobe` as of `lobe_table` for ndf; its description is empty."""
+    """The fields of a file with `lobe` as of `lobe_table`; its description is empty."""
+    taken, width = (np.full(2, 4.0), 1.0) if grid.whole else (lobe, alpha)
     theta_i = (1 - np.linspace(1, 0, grid.incident) ** _GRAZING) * (np.pi / 2)
     warp = _visible_normals(lobe, theta_i, grid.share) if grid.share else np.ones((grid.incident, 2, 2))
     even = np.linspace(0, 1, grid.table)
@@ -99,7 +102,7 @@ def bsdf_fields(
     luminance = np.empty((grid.incident, rows, grid.table))
     for t, theta in enumerate(theta_i):
         u, density = _warp(warp[t], even, rows) if grid.share else (nodes, np.ones(len(nodes)))
-        table, sampling = _at_nodes(reflectance, alpha, wavelengths, lobe, float(theta), u)
+        table, sampling = _at_nodes(reflectance, width, wavelengths, taken, float(theta), u)
         spectra[t] = table.T.reshape(spectra.shape[1:])
         # where the table is dark a renderer must still look now and then
         luminance[t] = np.maximum(sampling / density, 1e-3 * np.mean(sampling / density)).reshape(luminance.shape[1:])
@@ -112,8 +115,8 @@ def bsdf_fields(
         "theta_i": theta_i,
         "phi_i": np.zeros(1),
         "wavelengths": wavelengths,
-        "ndf": np.tile(lobe, (2, 1)),
-        "sigma": np.tile(projected_area(np.linspace(0, 1, _SIGMA_NODES) ** 2 * (np.pi / 2), alpha), (2, 1)),
+        "ndf": np.tile(taken, (2, 1)),
+        "sigma": np.tile(projected_area(np.linspace(0, 1, _SIGMA_NODES) ** 2 * (np.pi / 2), width), (2, 1)),
         "vndf": warp[None],
         "luminance": luminance[None],
         "spectra": spectra[None],
@@ -123,7 +126,8 @@ def bsdf_fields(
 def size_of(grid: Grid, wavelengths: int, lobe: int) -> int:
     """Bytes of the tables of a file."""
     warp = _WARP_ROWS * _WARP_COLUMNS if grid.share else 4
-    return 4 * (grid.incident * (grid.table**2 * (wavelengths + 1) + warp) + 2 * (lobe + _SIGMA_NODES))
+    ends = 2 if grid.whole else lobe
+    return 4 * (grid.incident * (grid.table**2 * (wavelengths + 1) + warp) + 2 * (ends + _SIGMA_NODES))
 
 
 def _at_nodes(
@@ -141,7 +145,9 @@ def _at_nodes(
     cos_d = normal @ incident[0]
     mirrored = 2 * cos_d[:, None] * normal - incident
     reflected, incident = _above_horizon(mirrored), _above_horizon(incident, _LOWEST_COS_I)
-    directions = from_vectors(np.broadcast_to(incident, reflected.shape), reflected, _UP)
+    twice = np.sqrt(2 + 2 * (reflected @ incident[0]))  # length of the sum of both
+    cos_i = np.broadcast_to(incident[0, 2], twice.shape)
+    directions = Directions(cos_i, reflected[:, 2], (cos_i + reflected[:, 2]) / twice, twice / 2)
     # by the normal of the pair that is evaluated, which below the horizon is another one
     place = np.sqrt(np.arccos(np.clip(directions.cos_m, 0, 1)) * (2 / np.pi))
     factor = 4 * reflected[:, 2] * projected_area(np.arccos(incident[:, 2]), alpha) / _on_even_nodes(lobe, place)

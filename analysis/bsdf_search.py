@@ -8,6 +8,7 @@ enough; then nodes are taken away again where that does no harm.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,13 @@ class Budget:
 
 
 USUAL_BUDGET = Budget()
+
+
+class Layout(NamedTuple):
+    """Where the nodes of a table are, and what it holds; see `Grid`."""
+
+    share: float
+    whole: bool
 
 
 def wavelength_nodes(model: RenderedModel, budget: Budget) -> tuple[FloatArray, FloatArray]:
@@ -87,22 +95,22 @@ def smallest_grid(
     model: RenderedModel,
     wavelengths: FloatArray,
     lobe: FloatArray,
-    share: float,
+    layout: Layout,
     spent: FloatArray,
     target: float,
     limit: int = LARGEST_SIZE,
 ) -> tuple[Grid, bool]:
     """The grid of the smallest tables whose 99th percentile of the relative error is below `target`, and whether it is.
 
-    `share` as of `Grid`; `spent` [pairs] as of `wavelength_nodes` adds to the error. Where no grid of less than `limit`
-    bytes is good enough, it is the best of those that were tried.
+    `spent` [pairs] as of `wavelength_nodes` adds to the error. Where no grid of less than `limit` bytes is good enough,
+    it is the best of those that were tried.
     """
     few = wavelengths[np.unique(np.linspace(0, wavelengths.size - 1, _FEW_WAVELENGTHS).round().astype(int))]
     at = probe(model, few)
     known: dict[tuple[int, int], float] = {}
 
     def grid(place: tuple[int, int]) -> Grid:
-        return Grid(INCIDENT_NODES[place[0]], TABLE_NODES[place[1]], share)
+        return Grid(INCIDENT_NODES[place[0]], TABLE_NODES[place[1]], layout.share, layout.whole)
 
     def size(place: tuple[int, int]) -> int:
         return size_of(grid(place), wavelengths.size, lobe.size)

@@ -1,12 +1,14 @@
 """Writes a model of the ladder, as the fits give it, as a `.bsdf` file for Mitsuba 3 and PBRT.
 
-What is in the file stands in `analysis.bsdf_fields`. Two layouts are tried for every file, each with the smallest
-tables that keep the error budget, and the smaller file of those that keep it is written:
+What is in the file stands in `analysis.bsdf_fields`. Four layouts are tried for every file, each with the smallest
+tables that keep the error budget, and the smallest file of those that keep it is written:
 
 - "flat": `vndf` is one everywhere, the nodes of the table are even in sqrt(theta_m) and phi_m;
-- "vndf": half of the nodes follow the normals that are visible from theta_i, the other half stay even.
+- "vndf": half of the nodes follow the normals that are visible from theta_i, the other half stay even;
+- "flat-whole" and "vndf-whole": the same with the lobe left in the table.
 
-A file that a renderer samples badly is noise, however right its values are: of such a layout the other one is taken.
+A file that a renderer samples badly is noise, however right its values are: such a layout is not taken if another is
+sampled well.
 Where the model reflects more than all it is clamped first (`analysis.bsdf_energy`), and the error of the file is that
 against the clamped model.
 """
@@ -20,7 +22,7 @@ import numpy as np
 from analysis.bsdf_energy import HIGHEST_ALBEDO, Clamped, clamp, darkening, file_albedo, sampling_noise
 from analysis.bsdf_error import LARGEST_TESTED_ANGLE, PAIRS, RelativeError, probe, read_back
 from analysis.bsdf_fields import Grid, bsdf_fields, size_of
-from analysis.bsdf_search import LARGEST_SIZE, USUAL_BUDGET, Budget, lobe_for, smallest_grid, wavelength_nodes
+from analysis.bsdf_search import LARGEST_SIZE, USUAL_BUDGET, Budget, Layout, lobe_for, smallest_grid, wavelength_nodes
 from analysis.errors import ExportError
 from analysis.fresnel import Conductor
 from analysis.ladder import Model
@@ -31,11 +33,16 @@ from analysis.tensor_file import Tensor, encode
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
-LAYOUTS = {"flat": 0.0, "vndf": 0.5}
-"""Share of the table's nodes that follows the visible normals, by layout."""
+LAYOUTS = {
+    "flat": Layout(0.0, whole=False),
+    "vndf": Layout(0.5, whole=False),
+    "flat-whole": Layout(0.0, whole=True),
+    "vndf-whole": Layout(0.5, whole=True),
+}
+"""In which order they are tried; a later one has to be smaller."""
 
 NOISIEST = 0.5
-"""Relative standard deviation of a sample's weight beyond which a layout is not taken if the other one has less."""
+"""Relative standard deviation of a sample's weight beyond which a layout is not taken if another has less."""
 
 _TESTED_WAVELENGTHS = 48
 _PARTS_OF_BUDGET = (1.0, 0.85)
@@ -76,7 +83,7 @@ class BsdfReport:
     clamped: str
     """What was done to the model so that it reflects no more than all, a sentence; empty where nothing had to be."""
     tried: dict[str, Tried]
-    """Every layout."""
+    """The layouts that came into question, in the order of `LAYOUTS`; see `write_bsdf`."""
     description: str
     """The text inside the file."""
 
@@ -94,6 +101,7 @@ class BsdfReport:
 def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about: str = "") -> BsdfReport:
     """Write a model of the ladder to `path`, in the smallest file that keeps `budget`, or in the best one there is.
 
+    Layouts are tried in the order of `LAYOUTS`; one that needs larger tables than another one before it is given up.
     `about` opens the description inside the file. Raises `OutOfRange` where the model does not cover 400 to 700 nm,
     and `ExportError` where the file cannot be written.
     """
@@ -106,14 +114,16 @@ def write_bsdf(path: Path, model: Model, budget: Budget = USUAL_BUDGET, *, about
     tried: dict[str, Tried] = {}
     fields: dict[str, dict[str, Tensor]] = {}
     limit = LARGEST_SIZE
-    for layout, share in LAYOUTS.items():
+    for layout, kind in LAYOUTS.items():
         for part in _PARTS_OF_BUDGET:
-            grid, found = smallest_grid(whole, wavelengths, lobe, share, spent, part * budget.error, limit)
+            grid, found = smallest_grid(whole, wavelengths, lobe, kind, spent, part * budget.error, limit)
+            if not found and limit < LARGEST_SIZE:
+                break  # none of less than what there is already
             fields[layout], bsdf = _tables(whole, wavelengths, grid, lobe)
             tried[layout] = _judged(whole, bsdf, grid, size_of(grid, wavelengths.size, lobe.size))
             if not found or _within(tried[layout], budget):
                 break
-        if _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
+        if layout in tried and _within(tried[layout], budget) and tried[layout].noise <= NOISIEST:
             limit = min(limit, tried[layout].size)
     layout = min(tried, key=lambda name: _rank(tried[name], budget))
     done = clamping_words(clamped)

@@ -49,6 +49,11 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 
+def set_point(settings: InstrumentSettings | None) -> float:
+    """Of the cooler, degrees Celsius; None is the simulated bench."""
+    return (SpectrometerSettings() if settings is None else settings.spectrometer).cooler_set_point
+
+
 class OperatedBench:
     """The bench of one service; every method must be called in the event loop in which it was made."""
 
@@ -70,11 +75,6 @@ class OperatedBench:
         self._work: asyncio.Task[Any] | None = None
         self._wavelengths: Any = None
         self._silent_until = 0.0
-
-    @property
-    def set_point(self) -> float:
-        """Of the cooler, degrees Celsius."""
-        return (SpectrometerSettings() if self.settings is None else self.settings.spectrometer).cooler_set_point
 
     @property
     def standing(self) -> Geometry | None:

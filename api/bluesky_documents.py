@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
-from goniometer.dataset_document import MEANINGS, UNITS, document
+from goniometer.dataset_document import MEANINGS, UNITS, document, without_nan
 from goniometer.records import Exposure, Scan
 from goniometer.store import Store
 
@@ -69,7 +69,7 @@ def _start(dataset: Dataset) -> dict[str, Any]:
         "detectors": ["spectrometer"],
         "num_points": int(dataset.theta_in.size),
         "hints": {"dimensions": [[["theta_in"], "primary"], [["theta_out"], "primary"]]},
-    } | {name: said[name] for name in _OF_START}
+    } | {name: without_nan(said[name]) for name in _OF_START}
 
 
 def _primary(dataset: Dataset) -> dict[str, Any]:

@@ -182,8 +182,12 @@ def _new_password(name: str) -> str:
     """What is typed twice, unseen, or the first line of what is piped in; never an argument, which others can see."""
     if not sys.stdin.isatty():
         return sys.stdin.readline().rstrip("\r\n")
-    typed: str = typer.prompt(f"Password of {name}", hide_input=True, err=True)
-    if typer.prompt("Once more", hide_input=True, err=True) != typed:
+    try:
+        typed: str = typer.prompt(f"Password of {name}", hide_input=True, err=True)
+        again = typer.prompt("Once more", hide_input=True, err=True)
+    except typer.Abort:
+        raise InputError("No password was typed; run the command again") from None
+    if typed != again:
         raise InputError("The two are not alike; run the command again")
     return typed
 

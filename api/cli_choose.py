@@ -11,7 +11,7 @@ from analysis.choose_report import choice_body, summary, verified_lines
 from analysis.fit_json import strict_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
-from api.derive import write_text
+from api.derive import write_rung, write_text
 from api.simulations import Page, write_page
 
 
@@ -35,6 +35,9 @@ def choose_command(
     weights: Annotated[
         Path | None, typer.Option(help="File to write for a campaign's resolution.scene: what the scene asks for.")
     ] = None,
+    bsdf: Annotated[
+        Path | None, typer.Option(help="File to write for Mitsuba and PBRT: the model, with a scene beside it.")
+    ] = None,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
@@ -50,11 +53,17 @@ def choose_command(
         written = write_page(page, f"The model that {sample} needs", body).path
     if weights is not None:
         write_text("weights", weights, strict_json(scene_weights(found.choice.asked, scene.name).model_dump()))
+    table = None
+    if bsdf is not None and found.choice.chosen is not None:
+        rung = found.choice.chosen.rung
+        about = f"Model {rung.name} of sample {sample}, the simplest for {tolerance:g} dE00 in the scene {scene.name}."
+        table = write_rung(bsdf, rung.model, about)[1][0]
     if as_json:
         page_path = None if written is None else str(written)
         weights_path = None if weights is None else str(weights)
         emit(
             {"dataset": dataset_id, "scene": str(scene), "page": page_path, "weights": weights_path}
+            | {"bsdf": None if table is None else table.facts | {"path": str(table.path)}}
             | choice_content(found)
         )
         return
@@ -68,3 +77,7 @@ def choose_command(
     if weights is not None:
         told = first_pass(scene_weights(found.choice.asked, scene.name))
         out.print(f"Wrote {weights}; {told}", markup=False, highlight=False, soft_wrap=True)
+    if bsdf is not None and table is None:
+        out.print(f"No model was chosen, so {bsdf} was not written.", markup=False, highlight=False, soft_wrap=True)
+    for line in [] if table is None else (f"Wrote {table.path}", *table.notes):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -26,7 +26,7 @@ def import_command(
         Path,
         typer.Argument(help="JSON of points, table, raw text of a goniometer, or an HDF5, CSV or Parquet of export."),
     ],
-    sample: Annotated[str | None, typer.Option(help="Name of the sample; without it that of the file.")] = None,
+    sample: Annotated[str | None, typer.Option(help="Name of the sample, if not as in the file.")] = None,
     relative_uncertainty: Annotated[
         float | None,
         typer.Option(min=0, help="Combined standard uncertainty of a value, as a part of it, e.g. 0.02."),
@@ -100,8 +100,8 @@ def import_command(
 
 
 def _summary(file: Path, made: int, dataset: Dataset) -> str:
-    noise = np.nanmedian(dataset.u_counts / np.abs(dataset.brdf))
-    total = np.nanmedian(dataset.u / np.abs(dataset.brdf))
+    f = np.where(dataset.brdf == 0, np.nan, np.abs(dataset.brdf))
+    noise, total = (np.nanmedian(u / f) for u in (dataset.u_counts, dataset.u))
     return (
         f"Imported {file.name} as dataset {made}, {dataset.sample}: {dataset.theta_in.size} points "
         f"at {np.unique(dataset.theta_in).size} incident angles, {dataset.wavelengths.size} wavelengths from "

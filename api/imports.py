@@ -25,7 +25,7 @@ class Request:
 
     path: Path
     sample: str | None = None
-    """None for the name of the file."""
+    """None for the name that the file states, or else that of the file."""
     relative_uncertainty: float | None = None
     relative_noise: float | None = None
     aperture: float | None = None
@@ -78,7 +78,7 @@ def imported_file(asked: Request) -> Dataset:
     assert asked.angle_uncertainty is not None
     stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
     lineage |= more | {"notes": [*notes, *tidying]}
-    return imported_dataset(asked.sample or asked.path.stem, table, stated, lineage)
+    return imported_dataset(asked.sample or _name_in_file(more) or asked.path.stem, table, stated, lineage)
 
 
 def file_format(text: str) -> FileFormat:
@@ -87,6 +87,14 @@ def file_format(text: str) -> FileFormat:
     if begin in {"[", "{"}:
         return "published JSON" if begin == "[" else "BiRD JSON"
     return "raw text" if looks_like_raw_text(text) else "table"
+
+
+def _name_in_file(lineage: dict[str, object]) -> str:
+    """What a universal BRDF file calls its sample; empty where it says nothing."""
+    told = lineage.get("bird")
+    sample = told.get("sample") if isinstance(told, dict) else None
+    name = sample.get("name") if isinstance(sample, dict) else None
+    return name.strip() if isinstance(name, str) else ""
 
 
 def _check_nothing_said(asked: Request) -> None:

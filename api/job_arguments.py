@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from analysis.bsdf_search import Budget
 from analysis.distributions import Distribution
 from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
@@ -65,15 +66,28 @@ class FitArguments(HowAsked, OfDataset):
         load_conductor(*conductor_name(self.conductor))
 
 
+class ExportOptions(BaseModel):
+    """What a format lets one say, see `api.exports.Options`; files are named by their uploads."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    raw: bool = Field(default=False, description="With all raw exposures.")
+    license: str | None = Field(default=None, max_length=100, description="SPDX identifier.", examples=["CC-BY-4.0"])
+    creators: list[str] = Field(default=[], max_length=100, description='"Family, Given", or an organisation.')
+    attached: list[str] = Field(default=[], max_length=100, description="Uploads of files that belong to the sample.")
+    about: str | None = Field(default=None, description="Upload of a YAML file of what no database knows.")
+    model: str | None = Field(default=None, max_length=40, description="Name of the fitted model.")
+    budget: float = Field(default=Budget.error, ge=1e-4, le=1, description="Relative error of 99 of 100 directions.")
+    colour_budget: float = Field(default=Budget.colour, ge=0.01, description="dE00 of 99 of 100 directions.")
+
+
 class ExportAsked(BaseModel):
     """In which format a dataset leaves the house."""
 
     model_config = ConfigDict(extra="forbid")
 
     format: str = Field(description="One of those that GET /api/exports/formats lists.", examples=["hdf5"])
-    options: dict[str, bool | str] = Field(
-        default={}, description='What the format lets one say, by name; "about" is the upload of a file.'
-    )
+    options: ExportOptions = ExportOptions()
 
 
 class ExportArguments(ExportAsked, OfDataset):
@@ -85,7 +99,7 @@ class ExportArguments(ExportAsked, OfDataset):
         if self.format not in FORMATS:
             raise InputError(f'There is no format "{self.format}"; there are {", ".join(FORMATS)}.')
         known = FORMATS[self.format].uses
-        if unknown := sorted(set(self.options) - set(known)):
+        if unknown := sorted(self.options.model_fields_set - set(known)):
             raise InputError(
                 f"An export to {self.format} has no option {unknown[0]}; it has {', '.join(known) or 'none'}."
             )

@@ -87,9 +87,16 @@ def _fit(work: Work, asked: FitArguments) -> Made:
 
 def _export(work: Work, asked: ExportArguments) -> Made:
     work.tell(None, f"Writing {asked.format}")
-    about = asked.options.get("about")
+    said = asked.options
     options = Options(
-        raw=bool(asked.options.get("raw", False)), about=None if about is None else uploaded(work.output, str(about))
+        raw=said.raw,
+        license=said.license,
+        creators=tuple(said.creators),
+        attached=tuple(uploaded(work.output, token) for token in said.attached),
+        about=None if said.about is None else uploaded(work.output, said.about),
+        model=said.model,
+        budget=said.budget,
+        colour_budget=said.colour_budget,
     )
     wanted = FORMATS[asked.format]
     path = _file(work, asked.dataset, wanted.ending)

@@ -13,6 +13,7 @@ import threading
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -33,6 +34,10 @@ log = logging.getLogger(__name__)
 LONG, SHORT = 1, max(1, (os.cpu_count() or 2) - 1)
 """Jobs of either sort that run at once, at a lower priority than the bench."""
 
+# What a job needs takes seconds to load; a server has it loaded, and a job is a fork of that, which has no threads.
+_CONTEXT = multiprocessing.get_context("forkserver")
+_CONTEXT.set_forkserver_preload([begin_worker.__module__])
+
 _TOLD = 0.5
 """Seconds between two notes of how far a job is."""
 
@@ -52,6 +57,7 @@ class Jobs:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._long, self._short = ThreadPoolExecutor(LONG), ThreadPoolExecutor(SHORT)
+        forkserver.ensure_running()
         self._look_after()
         self._beating = threading.Thread(target=self._beat, name="jobs", daemon=True)
         self._beating.start()
@@ -106,13 +112,13 @@ class Jobs:
         """Do a job in this thread: start its process, follow it, and write down how it ended."""
         if self._closed.is_set():
             return
-        context = multiprocessing.get_context("spawn")
-        heard, told = context.Pipe(duplex=False)
-        begun = ProcessPoolExecutor(1, mp_context=context, initializer=begin_worker, initargs=(told,))
+        heard, told = _CONTEXT.Pipe(duplex=False)
+        begun = ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=begin_worker, initargs=(told,))
         with heard, begun as executor:
             with told, self._lock:
-                if not job_rows.begin(self._store, job_id):
-                    return  # cancelled while it waited
+                if not job_rows.begin(self._store, job_id):  # cancelled while it waited
+                    self._cancelled.discard(job_id)
+                    return
                 self._groups[job_id] = 0
                 future = executor.submit(work, self._database, str(self._output), job_id, kind, arguments)
             self._publish(job_id)

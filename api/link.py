@@ -17,6 +17,7 @@ import api.errors
 import drivers.errors
 import goniometer.errors
 from api.audit import record_done
+from api.bench import set_point
 from api.errors import Conflict
 from api.events import Events
 from api.lease import pass_on_stop
@@ -68,15 +69,19 @@ class Link:
         self._past: deque[Past] = deque(maxlen=HISTORY)
         self._past_told = -HISTORY_EVERY
         self._state: BenchState | None = None
+        self._unknown = _unknown(task)
         self.snapshot: Snapshot | None = None
         """The last spectrum; None where there is none yet."""
 
     @property
     def state(self) -> BenchState:
-        """What the bench is and does; raises `Conflict` while nobody can know."""
-        if self._state is None:
-            raise Conflict("The process that drives the bench is being started; try again in a moment")
-        return self._state
+        """What the bench is and does."""
+        return self._state or self._unknown
+
+    @property
+    def lives(self) -> bool:
+        """Whether the process has told of the bench, and has not ended since."""
+        return self._state is not None
 
     @property
     def past(self) -> list[Past]:
@@ -114,10 +119,11 @@ class Link:
 
     async def stop(self) -> None:
         """Stop the bench at once, whichever service drives it."""
-        if self.state.driver is None or self.state.driver.here:
-            await self.call("stop")
-        else:
+        driver = self.state.driver
+        if driver is not None and not driver.here:
             await asyncio.to_thread(pass_on_stop, self._database)
+        else:
+            await self.call("stop")
 
     def _supervise(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -133,6 +139,7 @@ class Link:
             self._listen(here)
             with self._lock:
                 self._connection = None
+                here.close()
                 forsaken, self._waiting = self._waiting, {}
             self._state = None
             for answer in forsaken.values():
@@ -187,6 +194,30 @@ class Link:
         if time.monotonic() - self._past_told >= HISTORY_EVERY and state.stages:
             self._past_told = time.monotonic()
             self._past.append(Past(now(), state.detector_temperature, state.lamp_on_for))
+
+
+def _unknown(task: Task) -> BenchState:
+    """The state of a bench of which nobody has told anything yet."""
+    return BenchState(
+        phase="disconnected",
+        doing="The process that drives the bench is being started.",
+        possible=(),
+        driver=None,
+        simulated=task.settings is None,
+        stages=(),
+        theta_in=None,
+        theta_out=None,
+        detector_temperature=None,
+        cooler_set_point=set_point(task.settings),
+        lamp_on_for=None,
+        shutter="unknown",
+        integration_time=None,
+        integration_limits=None,
+        spectrum=None,
+        running=None,
+        prompt=None,
+        alarms=(),
+    )
 
 
 def _error(name: str, message: str) -> Exception:

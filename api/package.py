@@ -94,15 +94,17 @@ def _derived(store: Store, dataset_id: int) -> tuple[list[Part], list[str]]:
         ("report.html", write_dataset_report, "Report with figures, one file for any browser"),
     )
     parts, notes = [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, write, about in wanted:
-            file = Path(folder) / name.rpartition("/")[2]
+    for name, write, about in wanted:
+        with tempfile.TemporaryDirectory() as folder:
+            inside, _, last = name.rpartition("/")
             try:
-                write(store, dataset_id, file)
-            except AnalysisError as error:
+                write(store, dataset_id, Path(folder) / last)
+            except (AnalysisError, StoreFull) as error:  # the latter is also what cannot be written in its format
                 notes.append(f"{name} is not in the package: {error}")
-            else:
-                parts.append(Part(name, file.read_bytes(), about))
+                continue
+            for file in sorted(each for each in Path(folder).rglob("*") if each.is_file()):
+                told = about if file.name == last else f"Belongs to {last}"
+                parts.append(Part(f"{inside}/{file.relative_to(folder)}".lstrip("/"), file.read_bytes(), told))
     return parts, notes
 
 

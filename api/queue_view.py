@@ -61,15 +61,15 @@ class EntryView(BaseModel):
     prompt: Prompt | None = Field(description="What somebody must mount before it goes on.")
 
 
-def entry_view(live: Live, entry: queue.Entry, state: BenchState | None) -> EntryView:
-    """An entry with what is known of it; `state` is that of the bench, None where nobody knows it."""
+def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:
+    """An entry with what is known of it; `state` is that of the bench."""
     scans = [] if entry.campaign_id is None else live.store.scans(entry.campaign_id)
     counts = look_up.point_counts(live.store, [scan.id for scan in scans])
     done = {scan.id: counts[scan.id].done + counts[scan.id].failed for scan in scans if scan.id in counts}
     runs = entry.phase == "running"
     active = next((scan for scan in scans if scan.phase in ACTIVE_PHASES), None) if runs else None
-    running = None if state is None or state.running is None or state.running.entry != entry.id else state.running
-    prompt = None if state is None or state.prompt is None or state.prompt.entry != entry.id else state.prompt
+    running = None if state.running is None or state.running.entry != entry.id else state.running
+    prompt = None if state.prompt is None or state.prompt.entry != entry.id else state.prompt
     expected, remaining = _ahead(live, entry, scans, done, running)
     return EntryView(
         id=entry.id,

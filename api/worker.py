@@ -17,7 +17,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from api import queue
-from api.bench import POSSIBLE, OperatedBench
+from api.bench import POSSIBLE, OperatedBench, set_point
 from api.errors import Conflict
 from api.lease import (
     BEAT,
@@ -230,8 +230,9 @@ class _Worker:
     async def _watch_for_stop(self, lease: Lease) -> None:
         while True:
             await asyncio.sleep(AGAIN)
-            if take_up_stop(self.store, lease):
-                await self._stop()
+            with suppress(StoreError):  # it is asked again
+                if take_up_stop(self.store, lease):
+                    await self._stop()
 
     # Commands of the service
 
@@ -337,7 +338,7 @@ class _Worker:
             theta_in=None if standing is None else standing.theta_in,
             theta_out=None if standing is None else standing.theta_out,
             detector_temperature=bench.temperature,
-            cooler_set_point=bench.set_point,
+            cooler_set_point=set_point(self.task.settings),
             lamp_on_for=lamp // 10 * 10 if 0 <= lamp < float("inf") else None,  # else it would change all the time
             shutter=bench.shutter,
             integration_time=None if spectrum is None else spectrum.integration_time,

@@ -126,7 +126,9 @@ def _lineage(content: dict[str, Any]) -> dict[str, object]:
     if metadata.get("method") != "simulation":
         return {"bird": told}
     software = metadata.get("software")
-    name = software.get("name", "") if isinstance(software, dict) else ""
+    software = software if isinstance(software, dict) else {}
+    model = software.get("simulation_model")
+    name = model.get("name") if isinstance(model, dict) else software.get("name")
     return {"bird": told, "simulated": f"by others: {name or 'software not stated'}"}
 
 

@@ -14,7 +14,7 @@ import yaml
 
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
-from goniometer.dataset_document import document
+from goniometer.dataset_document import document, without_nan
 from goniometer.derived import software_version
 from goniometer.errors import DataFileError
 from goniometer.measured_table import read_text
@@ -26,7 +26,7 @@ SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_J
 
 NOT_STATED = "not stated"
 _NO_EMAIL = "not.stated@example.invalid"
-_OF_THE_DATASET = ("kind", "content_hash", "aperture_deg", "u_angle_deg", "u_zero_deg", "checks", "lineage")
+_OF_OURS = ("kind", "content_hash", "aperture_deg", "u_angle_deg", "u_zero_deg", "checks", "lineage")
 """What of our own document goes into the section for whatever the format has no place for."""
 
 _OF_A_PERSON = (
@@ -75,7 +75,7 @@ def bird_metadata(store: Store, dataset_id: int, said: dict[str, Any]) -> tuple[
         "software": _software(dataset),
         "sample": _sample(store, dataset, scan),
         "environment": "NA",
-        "adhoc_section": {name: part for name, part in document(dataset).items() if name in _OF_THE_DATASET},
+        "adhoc_section": {name: without_nan(said) for name, said in document(dataset).items() if name in _OF_OURS},
     }
     if scan_id is not None and "instrumentation" in said:
         _check_instrumentation(said["instrumentation"])

@@ -66,7 +66,8 @@ class Database:
                 lock.acquire(timeout=0)
             except Timeout:
                 raise StoreBusy(
-                    f"{self._where} is in use by another run; wait for its end, abort it, or name another file"
+                    f"{self._where} is in use by another run, or by a service; wait for its end, abort it, "
+                    f"queue the campaign there, or name another file"
                 ) from None
         try:
             yield

@@ -143,6 +143,11 @@ def document(dataset: Dataset) -> dict[str, Any]:
     }
 
 
+def without_nan(content: object) -> Any:
+    """JSON content with null in place of NaN and infinities, which strict JSON does not know."""
+    return json.loads(json.dumps(content), parse_constant=lambda _: None)
+
+
 def parsed(where: str, content: object) -> Document:
     """The document of a file; `where` names it in messages. Raises `DataFileError` for another or an incomplete one."""
     if isinstance(content, dict) and content.get("format_version", VERSION) != VERSION:

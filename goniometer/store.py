@@ -431,8 +431,3 @@ class Store(Derived):
             )
             for row in self.rows(query)
         ]
-
-    def exposures_of_point(self, point_id: int) -> list[int]:
-        """Ids of all raw exposures of a point, in the order in which they were written."""
-        here = tables.exposures.c
-        return [row.id for row in self.rows(select(here.id).where(here.point_id == point_id).order_by(here.id))]

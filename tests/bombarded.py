@@ -25,13 +25,16 @@ def bombarded(strategy: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]
             ("examples", "together"), [(200, 1), pytest.param(10_000, TOGETHER, marks=pytest.mark.slow)]
         )
         def test(examples: int, together: int, **fixture_values: Any) -> None:
+            repeated = examples // 10 if together > 1 else 0  # about half as many come again in another draw
+
             @settings(
-                max_examples=examples // together,
+                max_examples=(examples + repeated) // together,
                 deadline=None,
                 derandomize=True,
                 suppress_health_check=list(HealthCheck),
             )
-            @given(st.lists(strategy, min_size=together, max_size=together))
+            # without `unique_by` hypothesis would fill most of a list with copies
+            @given(st.lists(strategy, min_size=together, max_size=together, unique_by=repr))
             def each(values: list[Any]) -> None:
                 for value in values:
                     check(**fixture_values, **{drawn.name: value})

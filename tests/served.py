@@ -91,7 +91,7 @@ def served(folder: Path, **options: Any) -> Iterator[Served]:
         try:
             with httpx.Client(base_url=url, headers=headers, timeout=PATIENCE, trust_env=False) as client:
                 service = Served(live, url, client)
-                wait_for(lambda: client.get("/api/instrument").status_code == 200)
+                wait_for(lambda: live.worker.lives)
                 yield service
         finally:
             live.events.close()

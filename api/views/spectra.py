@@ -14,6 +14,7 @@ from api.views.slopes import LocalPoint, local_points
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.errors import NotInStore
+from goniometer.look_up import exposures_of
 from goniometer.store import Store
 
 
@@ -123,4 +124,4 @@ def _raw(store: Store, opened: Opened, point: int) -> tuple[int | None, list[int
     done = [each for each in store.points(scan_id) if each.status == "done"]
     if len(done) != opened.dataset.theta_in.size:  # the scan was resumed after this dataset was made
         return None, []
-    return done[point].id, store.exposures_of_point(done[point].id)
+    return done[point].id, exposures_of(store, done[point].id)

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 from starlette.concurrency import run_in_threadpool
 
 from api.accounts import LONGEST_PASSWORD, Role, all_users, check_password, set_password
-from api.errors import TooManyFailures, Unauthorised
+from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.throttle import count_try, forgive
 from api.tokens import OLD, Caller, begin_session, csrf_token, end_session, token_caller
 from api.web.access import Access, cookie_name, needs
@@ -99,7 +99,10 @@ async def change_password(
     request: Request, live: Here, given: NewPassword, caller: Annotated[Caller, needs("viewer")]
 ) -> None:
     """Take another password; all one's sessions end, this one too."""
-    await _in_turn(request, live.store, Login(name=caller.name, password=given.current_password))
+    try:
+        await _in_turn(request, live.store, Login(name=caller.name, password=given.current_password))
+    except Unauthorised:  # who asks is known, and stays logged in
+        raise NotAllowed("The current password is another one; type it again") from None
     await run_in_threadpool(set_password, live.store, caller.name, given.password.get_secret_value())
 
 

@@ -10,7 +10,7 @@ from prometheus_client.registry import Collector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api import queue
-from api.errors import Conflict, Unauthorised
+from api.errors import Unauthorised
 from api.live import Live
 from api.state import BenchState
 from api.web.access import Access
@@ -86,13 +86,9 @@ class _Bench(Collector):
         for phase in ("idle", "queued", "running"):
             entries.add_metric([phase], sum(entry.phase == phase for entry in waiting))
         yield entries
-        try:
-            state = self._live.worker.state
-        except Conflict:  # it is being started
-            yield _gauge("bench_up", "Whether the process that drives the bench lives.", 0.0)
-            return
-        yield _gauge("bench_up", "Whether the process that drives the bench lives.", 1.0)
-        yield from _bench(state)
+        lives = float(self._live.worker.lives)
+        yield _gauge("bench_up", "Whether the process that drives the bench lives.", lives)
+        yield from _bench(self._live.worker.state)
 
 
 def _bench(state: BenchState) -> Iterator[Metric]:

@@ -10,7 +10,6 @@ from api.errors import Conflict
 from api.live import Live
 from api.queue_view import EntryView, entry_view
 from api.service import ACTIVE_PHASES
-from api.state import BenchState
 from api.web.access import Caller, needs
 from api.web.campaigns import checked
 from api.web.context import Here, Number
@@ -167,11 +166,4 @@ def _changed(live: Live, entry: queue.Entry) -> EntryView:
 
 
 def _view(live: Live, entry: queue.Entry) -> EntryView:
-    return entry_view(live, entry, _state(live))
-
-
-def _state(live: Live) -> BenchState | None:
-    try:
-        return live.worker.state
-    except Conflict:  # it is being started
-        return None
+    return entry_view(live, entry, live.worker.state)

@@ -17,7 +17,7 @@ from analysis.models import cook_torrance
 from analysis.results import ModelFit
 from analysis.scene import Scene
 from analysis.scene_rays import trace
-from analysis.vertices import Vertices, display_for, to_pixels, xyz_of_vertices
+from analysis.vertices import Vertices, display_for, image, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
@@ -98,6 +98,30 @@ def test_a_lambertian_material_needs_no_more_than_lambert(fits: tuple[Dataset, t
     assert choice.chosen.rung.name == "lambert"
     assert choice.chosen.parameters == 1
     assert choice.chosen.score.mean == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_colour_error_holds_the_true_one_whatever_the_measurement_got_wrong(
+    measure: Callable[..., Dataset],
+) -> None:
+    metal, inside = load_conductor(), {"tinted": 0, "cook-torrance-shift": 0, "table": 0}
+    seen_in = {name: trace(AROUND if name == "cook-torrance-shift" else SUN, SAMPLE[0], 64) for name in inside}
+    right = {
+        name: image(vertices, lambda at, nm: cook_torrance(at, nm, SAMPLE[0], metal, *SAMPLE[1:]), NODES).mean(axis=0)
+        for name, vertices in seen_in.items()
+    }
+    for seed in range(2):
+        dataset = measure(*SAMPLE, seed=seed, systematic=True, wavelength_step=12.0, incident=(10, 30, 50, 70))
+        models = fit_models(dataset, local_fit_for(dataset, METAL_FITS[1:2]), METAL_FITS[1:2])
+        known = reference_table(dataset, SAMPLE[0], seed=seed + 10)
+        for name, vertices in seen_in.items():
+            choice = choose(lambda _, vertices=vertices: vertices, known, models, metal, 1e-3)
+            judged = next(each for each in choice.judged if each.rung.name == name)
+            mine = image(vertices, judged.rung.model, NODES).mean(axis=0)
+            error = float(choice.picture.display.difference(mine, right[name]).mean())
+            inside[name] += judged.score.low <= error <= judged.score.high
+    # of 6 intervals of 90 % fewer than 4 hold the truth twice in a hundred times
+    assert sum(inside.values()) >= 4, inside
 
 
 def test_no_parameter_is_chosen_that_the_data_do_not_tell(

@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from analysis.measured_bsdf import read_bsdf
+
 SUN = """
 camera: {position: [0, -4, 1], pixels: [16, 16], field_of_view: 32}
 material: [{sphere: 1}]
@@ -19,9 +21,9 @@ Small = tuple[Path, dict[str, Any]]
 def test_a_scene_gets_its_model_a_page_and_a_campaign_of_its_own(cli: Any, small: Small, tmp_path: Path) -> None:
     folder, _ = small
     (tmp_path / "sun.yaml").write_text(SUN)
-    page, weights = tmp_path / "page.html", tmp_path / "weights.json"
+    page, weights, bsdf = tmp_path / "page.html", tmp_path / "weights.json", tmp_path / "sun.bsdf"
     wanted = ("--scene", tmp_path / "sun.yaml", "--no-render", "--tolerance", 2, "--json")
-    done = cli("choose", "Sample 1", *wanted, "--page", page, "--weights", weights, cwd=folder)
+    done = cli("choose", "Sample 1", *wanted, "--page", page, "--weights", weights, "--bsdf", bsdf, cwd=folder)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     models = [rung["model"] for rung in found["rungs"]]
@@ -30,6 +32,9 @@ def test_a_scene_gets_its_model_a_page_and_a_campaign_of_its_own(cli: Any, small
     assert found["chosen"]["model"] in models
     assert found["chosen"]["dE00"]["expected"] < 2
     assert found["rendered"] is None
+    assert found["bsdf"]["bytes"] == bsdf.stat().st_size
+    assert f"Model {found['chosen']['model']} of sample Sample 1" in read_bsdf(bsdf.read_bytes()).description
+    assert "sun.bsdf" in bsdf.with_name("sun.scene.xml").read_text(encoding="utf-8")
     text = page.read_text(encoding="utf-8")
     assert text.count("<img") == 3
     assert "Cook-Torrance with shift" in text

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from api.package_texts import Published
 from goniometer.errors import InputError
 from goniometer.store import Store
 from tests.bird_schemas import validator
+from tests.drawn_dataset import drawn_dataset
 
 ABOUT = """
 provenance:
@@ -123,24 +125,23 @@ def test_the_papers_json_comes_back_with_the_same_values(folder: Path, store: St
     assert np.array_equal(back.brdf, dataset.brdf[order], equal_nan=True)
 
 
-@pytest.mark.parametrize("said", [None, ABOUT])
+@pytest.mark.parametrize(("dataset_id", "said"), [(2, None), (1, ABOUT)])
 def test_a_universal_brdf_file_is_valid_under_the_schemas_of_its_project(
-    store: Store, tmp_path: Path, said: str | None
+    store: Store, tmp_path: Path, dataset_id: int, said: str | None
 ) -> None:
     about = None
     if said is not None:
         about = tmp_path / "lab.yaml"
         about.write_text(said, encoding="utf-8")
-    for dataset_id in (1, 2):
-        written = export_dataset(store, dataset_id, "bird", tmp_path / "a.brdf", Options(about=about))
-        content = json.loads((tmp_path / "a.brdf").read_text())
-        metadata = content["metadata"]
-        assert metadata["method"] == "measurement"
-        assert metadata["sample"]["dimensions"] == {"diameter": {"value": 50.0, "unit": "mm"}}
-        assert ("Not stated" in " ".join(written.notes)) == (said is None)
-        assert metadata["environment"] == ("NA" if said is None else {"temperature": {"value": 23.0, "unit": "°C"}})
-        errors = [error.message for error in validator().iter_errors(content)]
-        assert errors == []
+    written = export_dataset(store, dataset_id, "bird", tmp_path / "a.brdf", Options(about=about))
+    content = json.loads((tmp_path / "a.brdf").read_text())
+    metadata = content["metadata"]
+    assert metadata["method"] == "measurement"
+    assert metadata["sample"]["dimensions"] == {"diameter": {"value": 50.0, "unit": "mm"}}
+    assert ("Not stated" in " ".join(written.notes)) == (said is None)
+    assert metadata["environment"] == ("NA" if said is None else {"temperature": {"value": 23.0, "unit": "°C"}})
+    errors = [error.message for error in validator().iter_errors(content)]
+    assert errors == []
 
 
 def test_what_a_person_says_beside_the_point_is_refused_before_it_is_in_a_file(store: Store, tmp_path: Path) -> None:
@@ -170,10 +171,12 @@ def package(store: Store, folder: Path) -> Path:
 
 def test_a_package_holds_all_there_is_and_sha256sum_finds_it_whole(package: Path) -> None:
     files = {str(path.relative_to(package)) for path in package.rglob("*") if path.is_file()}
-    assert files == {
+    fits = {name for name in files if name.startswith("fits/")}
+    assert fits >= {"fits/analysis.json", "fits/sample-1.bsdf"}
+    assert files - fits == {
         *("README.md", "LICENSE.txt", "CITATION.cff", "datapackage.json", "SHA256SUMS", "report.html"),
         *("data/brdf.h5", "data/brdf.csv", "data/brdf.brdf", "data/campaign.json", "data/certificate.csv"),
-        *("fits/analysis.json", "fits/sample-1.bsdf", "attached/photo.tif"),
+        "attached/photo.tif",
     }
     done = subprocess.run(
         ["sha256sum", "--strict", "-c", "SHA256SUMS"], cwd=package, capture_output=True, text=True, check=False
@@ -229,6 +232,20 @@ def test_the_same_dataset_gives_the_same_package_as_a_folder_too(package: Path, 
     assert again.sha256 == hashlib.sha256((package / "SHA256SUMS").read_bytes()).hexdigest()
     with pytest.raises(InputError, match="is there already"):
         export_dataset(store, 1, "package", tmp_path / "one", options)
+
+
+def test_a_dataset_that_cannot_be_fitted_is_published_without_fits_and_the_package_says_why(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "a.db")
+    three = drawn_dataset("sample-1").at_points(np.arange(20)).at_wavelengths(slice(0, 3))
+    dataset_id = store.add_dataset(None, replace(three, lineage={"imported": "theirs.csv"}))
+    written = export_dataset(store, dataset_id, "package", tmp_path / "it", TERMS)
+    notes = " ".join(written.notes)
+    assert "fits/analysis.json is not in the package: " in notes
+    assert "needs at least 5" in notes
+    assert "Raw exposures are not in the package" in (written.path / "README.md").read_text()
+    assert not (written.path / "fits").exists()
+    done = subprocess.run(["sha256sum", "-c", "SHA256SUMS"], cwd=written.path, capture_output=True, check=False)
+    assert done.returncode == 0
 
 
 def test_terms_that_nobody_can_mean_are_refused_before_anything_is_computed(store: Store, tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def test_another_password_needs_the_old_one_and_ends_all_sessions(live: Live, br
     other = Client(live)
     other.login("anna", PASSWORD)
     new = "another one, longer"
-    problem(browser.post("/api/me/password", {"current_password": "wrong", "password": new}), 401)
+    problem(browser.post("/api/me/password", {"current_password": "wrong", "password": new}), 403)
     assert other.get("/api/me").status_code == 200
     assert browser.post("/api/me/password", {"current_password": PASSWORD, "password": new}).status_code == 204
     problem(browser.get("/api/me"), 401)
@@ -228,7 +228,7 @@ def test_the_log_tells_who_did_what_and_no_secret(live: Live, browser: Client) -
         ("root", "token", "PATCH /api/users/{name}", 200),
         ("nobody", "nobody", "POST /api/login", 401),
         ("nobody", "nobody", "POST /api/login", 401),
-        ("anna", "session", "POST /api/me/password", 401),
+        ("anna", "session", "POST /api/me/password", 403),
         ("anna", "session", "POST /api/tokens", 201),
         ("root", "token", "POST /api/queue/{number}/start", found[8][3]["status"]),
         ("root", "token", "POST /api/instrument/jog", 422),

@@ -82,7 +82,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
         """Keep a picture, dark and light, and ask axe what a person with other eyes or hands cannot use."""
         for scheme in ("dark", "light"):
             page.emulate_media(color_scheme=scheme)
-            page.screenshot(path=shots / f"{name}-{scheme}.png")
+            page.screenshot(path=shots / f"{name}-{scheme}.png", full_page=True)
             found = Axe().run(page)
             faults.extend(f"{name}, {scheme}: {each['id']}: {each['help']}" for each in found.response["violations"])
 

@@ -251,7 +251,7 @@ def command(folder: Path, authorization: str | None = None) -> Iterator[tuple[su
         with httpx.Client(
             base_url=url, headers={"Authorization": authorization}, timeout=60, trust_env=False
         ) as client:
-            wait_for(lambda: client.get("/api/instrument").is_success)
+            wait_for(lambda: client.get("/api/instrument").json()["driver"])
             yield process, client
     finally:
         process.kill()

@@ -1,6 +1,7 @@
 """`goniometer tradeoff` charts what it says it does."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -71,11 +72,24 @@ def test_more_rays_and_finer_transforms_err_less() -> None:
 @pytest.mark.slow
 def test_models_that_know_of_the_shift_are_closer_in_colour_than_those_that_do_not() -> None:
     datasets, _ = drawn("sample-1", material("sample-1"), 1)
-    evaluation, size, rendering = model_charts(datasets[0], load_conductor(), False, 1, lambda _: None)
+    told: list[str] = []
+    there = find_spec("mitsuba") is not None
+    evaluation, size, shading, *rendering = model_charts(
+        datasets[0], load_conductor(), False, 1, told.append, rendering=there
+    )
     errors = {choice.name: choice.error for choice in evaluation.choices}
     assert errors["cook-torrance-shift"] < 0.3 < errors["cook-torrance"] < errors["lambert"]
     assert errors["table"] < 0.5
     bytes_of = {choice.name: choice.cost for choice in size.choices}
     assert bytes_of["cook-torrance-shift"] == 3 * 8
-    shaded = {choice.name: choice.error for choice in rendering.choices}
+    shaded = {choice.name: choice.error for choice in shading.choices}
     assert shaded["cook-torrance-shift"] < shaded["cook-torrance"]
+    if not rendering:
+        pytest.skip("Mitsuba is not installed: " + told[-1])
+    rendered = {(choice.family, choice.name): choice.error for choice in rendering[0].choices}
+    for name in ("lambert", "tinted", "cook-torrance"):  # another renderer finds the same errors
+        assert rendered["table, 31 λ", name] == pytest.approx(shaded[name], rel=0.1, abs=0.05)
+    # what Mitsuba has a formula for looks as our file of it does
+    assert rendered["Mitsuba's formula", "cook-torrance"] == pytest.approx(shaded["cook-torrance"], rel=0.1)
+    assert rendered["Mitsuba's formula", "lambert"] == pytest.approx(shaded["lambert"], rel=0.1)
+    assert rendered["table, 31 λ", "cook-torrance-shift"] < 0.1

@@ -135,7 +135,7 @@ def measure(database: Path, url: str, token: str, server: int) -> None:
     with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, trust_env=False) as client:
         while True:
             with contextlib.suppress(httpx.ConnectError):
-                if client.get("/api/instrument").is_success:
+                if client.get("/api/instrument").json()["driver"]:
                     break
             time.sleep(0.2)
         number = client.post("/api/queue", json={"campaign": CAMPAIGN}).raise_for_status().json()["id"]

@@ -148,3 +148,8 @@ def test_the_projects_own_example_is_read() -> None:
     table = read(json.loads((SCHEMAS / "example.brdf").read_text()))
     assert np.array_equal(table.wavelengths, [550, 650, 750, 850])
     assert np.allclose(table.brdf, [[0.2585, 0.27, 0.288, 0.2985]])
+
+
+def test_a_file_that_a_simulation_of_ours_became_says_which_one() -> None:
+    metadata = {"method": "simulation", "software": {"name": "goniometer", "simulation_model": {"name": "rays"}}}
+    assert read_bird_json("a", {"metadata": metadata, "data": example()["data"]})[2]["simulated"] == "by others: rays"
