@@ -33,7 +33,7 @@ def main(count: int) -> None:
         _fill(service, count)
         service.live.datasets.warm_up()
         random = np.random.default_rng(1)
-        chosen = random.permutation(count)[: min(count, 20)] + 1
+        chosen = random.permutation(count)[: min(count, 12)] + 1
         few = chosen[:8]
         print(f"{count} datasets; milliseconds at the median / at 95 % (computed)")
         print(f"{'':32}{'first':>22}{'after a restart':>22}{'again':>22}")
