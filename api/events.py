@@ -20,7 +20,7 @@ KEPT = 2000
 """Events that are kept for listeners who come back."""
 HEARTBEAT = 15.0
 """Seconds after which a listener who has heard nothing is told that the stream lives."""
-TOGETHER = 0.05
+TOGETHER = 0.2
 """Seconds for which events are collected before they are sent: a chunk costs more than what is in it."""
 
 

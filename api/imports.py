@@ -10,7 +10,7 @@ from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import reloaded
 from goniometer.delimited import Meaning, Quantity, read_delimited
-from goniometer.errors import InputError
+from goniometer.errors import DataFileError, InputError
 from goniometer.imported import Stated, imported_dataset
 from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
 from goniometer.published_json import read_published_json
@@ -42,6 +42,7 @@ class Request:
     saturation: float | None = None
 
 
+_ZIP = b"PK\x03\x04"
 _OF_TABLE = ("quantity", "angles", "wavelengths")
 _OF_RAW = ("reference", "certificate", "darks", "dark_subtracted", "saturation")
 
@@ -54,6 +55,8 @@ def imported_file(asked: Request) -> Dataset:
     meant, or which options are missing.
     """
     content = read_content(asked.path)
+    if content.startswith(_ZIP):
+        raise DataFileError(f"{asked.path}: is a zip file; unpack it and import the file that it is about.")
     own = reloaded(asked.path, content)
     if own is not None:
         _check_nothing_said(asked)

@@ -114,10 +114,13 @@ def preview(campaign: Campaign, motion: Motion = ORDINARY, dead_time: float = DE
     first = first_points(spec)
     most = len(first) if spec.mode == "uniform" else max(round(EARLIER[1] * len(spec.theta_in)), len(first))
     most = most if spec.most_points is None else min(most, spec.most_points)
+    # all samples are alike before anything is known of them
+    of_panel = _leg("reference panel", panel, len(panel), campaign, spec, bright, dead_time)
+    of_sample = _leg("", first, most, campaign, spec, policy, dead_time, is_sample=True)
     legs = [
-        _leg(name.replace("reference", "reference panel", 1), panel, len(panel), campaign, spec, bright, dead_time)
+        replace(of_panel, name=name.replace("reference", of_panel.name, 1))
         if sample is None
-        else _delayed(_leg(name, first, most, campaign, spec, policy, dead_time, is_sample=True), sample.wait)
+        else _delayed(replace(of_sample, name=name), sample.wait)
         for name, sample in campaign.series
     ]
     conditions = campaign.conditions

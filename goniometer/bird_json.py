@@ -225,7 +225,7 @@ def _repeat(directions: FloatArray, wavelength: FloatArray) -> FloatArray:
 def _object(path: str, parent: dict[str, Any], name: str) -> dict[str, Any]:
     found = parent.get(name)
     if not isinstance(found, dict):
-        raise DataFileError(f"{path}: {name} is missing or no object; a file of this format needs it.")
+        raise DataFileError(f"{path}: {name} is missing or no object, which a universal BRDF file needs.")
     return found
 
 

@@ -163,7 +163,8 @@ def _text() -> Any:
 
 def _write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
     """Raw spectra of one scan in the order in which they were written; NaN where a dark has no direction."""
-    group.attrs["constants"] = constants_json(constants)
+    group["constants"] = constants_json(constants)
+    group["constants"].attrs["type"] = "application/json"
     _array(group, "wavelength", constants.wavelengths, "nm", "of each pixel, by the spectrometer's coefficients")
     if not exposures:
         return
@@ -194,7 +195,8 @@ def dataset_from_hdf5(where: str, content: bytes) -> Dataset:
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             return _read(where, _Reader(where, file["entry"] if _plain(where, file, "entry") else file))
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, UnicodeDecodeError) as error:
+    # what the library and the conversions below raise for content that is not what we wrote
+    except (OSError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError) as error:
         raise DataFileError(f"{where}: cannot be read as HDF5 of a dataset ({error}); export it again.") from error
 
 
@@ -238,7 +240,9 @@ class _Reader:
     def array(self, path: str) -> NDArray[Any]:
         """The array at a path as it is in the file; raises `DataFileError` where all became too large."""
         found = self._at(path)
-        if hasattr(found, "keys") or found.external or found.is_virtual:
+        if hasattr(found, "keys"):
+            raise DataFileError(f"{self.where}: {found.name} is no array; export it again.")
+        if found.external or found.is_virtual:
             raise DataFileError(f"{self.where}: {found.name} is kept elsewhere; copy the data into the file.")
         self._left -= found.size * found.dtype.itemsize
         if self._left < 0:

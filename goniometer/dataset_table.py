@@ -37,6 +37,7 @@ FIRST_LINE = "# goniometer dataset: one value a row; these lines hold the rest o
 PARQUET_MAGIC = b"PAR1"
 """How a Parquet file begins and ends."""
 
+_ROWS_AT_ONCE = 10_000
 _KEY = b"goniometer"
 _EXACT = ("point", "theta_in", "theta_out", "wavelength", "brdf", "standard_uncertainty", "flags")
 
@@ -64,9 +65,11 @@ def dataset_to_csv(dataset: Dataset) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(table)
-    # the shortest text that is the same number again
-    cells = [["" if cell != cell else repr(cell) for cell in values.tolist()] for values in table.values()]  # noqa: PLR0124
-    writer.writerows(zip(*cells, strict=True))
+    for start in range(0, dataset.brdf.size, _ROWS_AT_ONCE):
+        part = [values[start : start + _ROWS_AT_ONCE].tolist() for values in table.values()]
+        # repr is the shortest text that is the same number again
+        cells = [["" if cell != cell else repr(cell) for cell in values] for values in part]  # noqa: PLR0124
+        writer.writerows(zip(*cells, strict=True))
     text = "\n".join(lines) + "\n" + buffer.getvalue()
     if len(text) > LARGEST_FILE:
         raise DataFileError(
@@ -88,21 +91,19 @@ def dataset_from_csv(where: str, text: str) -> Dataset:
         except (ValueError, RecursionError) as error:
             raise DataFileError(f"{where}, line {number}: is not as it was written; export it again.") from error
     said = parsed(where, content)
-    try:
-        names, *rows = csv.reader(lines[start:]) if start < len(lines) else [[]]
-    except csv.Error as error:
-        raise DataFileError(f"{where}: is no CSV ({error}); export it again.") from error
-    _check_names(where, names, said)
-    table = np.empty((len(rows), len(names)))
+    rows = csv.reader(lines[start:])
     filled = 0
-    for number, row in enumerate(rows, start=start + 2):
-        if not row:
-            continue
-        try:
-            table[filled] = [float(cell) if cell else math.nan for cell in row]
-        except ValueError as error:
-            raise DataFileError(f"{where}, line {number}: is no row of {len(names)} numbers.") from error
-        filled += 1
+    try:
+        names = next(rows, [])
+        _check_names(where, names, said)
+        table = np.empty((len(lines) - start - 1, len(names)))
+        for row in rows:
+            if row:
+                table[filled] = [float(cell) if cell else math.nan for cell in row]
+                filled += 1
+    except (csv.Error, ValueError) as error:
+        number = start + max(rows.line_num, 1)
+        raise DataFileError(f"{where}, line {number}: is not as it was written ({error}); export it again.") from error
     return _from_rows(where, said, dict(zip(names, table[:filled].T, strict=True)))
 
 

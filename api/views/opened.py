@@ -35,6 +35,8 @@ SHIFT_MODELS = ("cook-torrance-shift", "dielectric-shift")
 
 _DATASETS = 12
 """Datasets that are kept in memory."""
+_ANSWERS = 100
+"""Answers about them that are kept in memory."""
 _FILLED = 500
 """Files of filled directions that are kept; some 100 kB each."""
 
@@ -100,6 +102,7 @@ class Datasets:
         self._folder = folder
         self._kept: OrderedDict[int, tuple[Entry, Dataset]] = OrderedDict()
         self._opened: OrderedDict[tuple[int, int], Opened] = OrderedDict()
+        self._answers: OrderedDict[str, bytes] = OrderedDict()
         self._lock = threading.Lock()
 
     def warm_up(self) -> None:
@@ -118,6 +121,10 @@ class Datasets:
         return self._remembered(
             self._opened, (dataset_id, newest), lambda: Opened(entry, dataset, tuple(self._store.fits(dataset_id)))
         )
+
+    def answer(self, tag: str, make: Callable[[], bytes]) -> bytes:
+        """What `make` makes, or has made for the same `tag` not long ago."""
+        return self._remembered(self._answers, tag, make, _ANSWERS)
 
     def filled(self, opened: Opened) -> Filled | None:
         """What can be said of the directions that were not measured; None of a simulation, or with too few points."""
@@ -141,7 +148,7 @@ class Datasets:
     def _read(self, dataset_id: int) -> tuple[Entry, Dataset]:
         return self._store.entry(dataset_id), self._store.dataset(dataset_id)
 
-    def _remembered(self, kept: "OrderedDict[Any, T]", key: object, make: Callable[[], T]) -> T:
+    def _remembered(self, kept: "OrderedDict[Any, T]", key: object, make: Callable[[], T], most: int = _DATASETS) -> T:
         with self._lock:
             if key in kept:
                 kept.move_to_end(key)
@@ -149,7 +156,7 @@ class Datasets:
         made = make()  # twice where two ask at once, which is better than to make the others wait
         with self._lock:
             kept[key] = made
-            while len(kept) > _DATASETS:
+            while len(kept) > most:
                 kept.popitem(last=False)
         return made
 

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from api.views import curves, in_plane_map, ladder, lineage, listing, quality, slopes, spectra
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
+from api.web.instrument import BINARY
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
 from api.web.shown import shown
 from goniometer.catalogue import Order, Wanted
@@ -20,7 +21,7 @@ Time = Annotated[str | None, Query(pattern=r"^\d{4}-\d\d-\d\d([T ][\d:.+-]{1,24}
 Degrees = Annotated[float | None, Query(ge=-90, le=90, description="Degrees.")]
 Nanometres = Annotated[float | None, Query(gt=0, lt=1e5, description="nm")]
 OCTETS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+    200: {"content": {BINARY: {"schema": {"type": "string", "format": "binary"}}}}
 }
 
 
@@ -152,4 +153,4 @@ def all_spectra(number: Number, request: Request, live: Here, caller: Viewer) ->
     W wavelengths (nm), P theta_in, P theta_out (degrees), P x W BRDF, P x W combined standard uncertainty (k = 1),
     both in 1/sr; NaN where there is no value.
     """
-    return shown(request, live, number, lambda opened: spectra.packed_spectra(opened.dataset))
+    return shown(request, live, number, lambda opened: spectra.packed_spectra(opened.dataset), media_type=BINARY)

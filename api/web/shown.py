@@ -14,7 +14,12 @@ _CACHE = {"Cache-Control": "private, no-cache"}
 
 
 def shown(
-    request: Request, live: Live, dataset_id: int, make: Callable[[Opened], BaseModel | bytes], *asked: object
+    request: Request,
+    live: Live,
+    dataset_id: int,
+    make: Callable[[Opened], BaseModel | bytes],
+    *asked: object,
+    media_type: str = "application/json",
 ) -> Response:
     """The answer of `make`, or "not modified" to who has it; `asked` is all that it depends on beside the dataset.
 
@@ -24,8 +29,9 @@ def shown(
     known = unchanged(request, Response(), tag)
     if known is not None:
         return known
-    made = make(live.datasets.open(dataset_id))
-    headers = _CACHE | {"ETag": tag}
-    if isinstance(made, bytes):
-        return Response(made, media_type="application/octet-stream", headers=headers)
-    return Response(made.model_dump_json(), media_type="application/json", headers=headers)
+    content = live.datasets.answer(tag, lambda: _packed(make(live.datasets.open(dataset_id))))
+    return Response(content, media_type=media_type, headers=_CACHE | {"ETag": tag})
+
+
+def _packed(made: BaseModel | bytes) -> bytes:
+    return made if isinstance(made, bytes) else made.model_dump_json().encode()

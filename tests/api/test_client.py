@@ -18,6 +18,8 @@ from api.job_arguments import ExportAsked, HowAsked, ImportAsked
 from goniometer.errors import InputError, NotInStore
 from tests.served import Served, served
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).parents[2] / "docs" / "example_campaign.py"
 
 
