@@ -79,15 +79,21 @@ def comparison_body(
     sample: str,
     lines: list[str],
     notes: list[str],
+    trusted: bool,
 ) -> list[str]:
-    """Pieces of HTML for the page; `seconds` [rounds, 2] of rendering, `lines` and `notes` are sentences."""
+    """Pieces of HTML for the page; `seconds` [rounds, 2] of rendering, `lines` and `notes` are sentences.
+
+    `trusted` says whether both fits are.
+    """
     answer = (
         f"The shift changes what is seen by a mean dE00 of {comparison.mean:.2f}, and by more than "
         f"{comparison.p95:.2f} in 5 % of the pixels."
     )
+    if not trusted:
+        answer += " Not both fits are to be trusted, see below."
     return [
         f'<p class="soft">{escape(sample)}, as it was fitted, rendered by Mitsuba</p>',
-        f'<div class="verdict"><strong>{escape(answer)}</strong></div>',
+        f'<div class="verdict{"" if trusted else " warn"}"><strong>{escape(answer)}</strong></div>',
         comparison_figure(comparison, seconds, names),
         bullets(lines),
         *(["<h2>What to know of it</h2>", bullets(notes)] if notes else []),

@@ -56,7 +56,8 @@ def render_command(
     ]
     written = None
     if page is not None:
-        body = comparison_body(found.comparison, found.pictures.seconds, names, found.sample, lines, list(found.notes))
+        seconds, notes = found.pictures.seconds, list(found.notes)
+        body = comparison_body(found.comparison, seconds, names, found.sample, lines, notes, found.trusted)
         written = write_page(page, f"What the shift changes of {found.sample}", body).path
     if as_json:
         emit({"dataset": dataset_id, "page": None if written is None else str(written)} | _content(found, samples))
@@ -82,6 +83,7 @@ def _content(found: RenderedDataset, samples: int) -> dict[str, object]:
         "seconds": {model: found.pictures.seconds[:, i].tolist() for i, model in enumerate(found.models)},
         "variant": found.variant.name,
         "through": found.through,
+        "trusted": found.trusted,
         "notes": list(found.notes),
         "files": [str(file.path) for file in found.files],
     }

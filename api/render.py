@@ -47,6 +47,8 @@ class RenderedDataset:
     pictures: Pictures
     variant: Variant
     through: Through
+    trusted: bool
+    """Whether both fits are to be trusted."""
     notes: tuple[str, ...]
     """What a person should know of it, whole sentences."""
     files: tuple[Export, ...]
@@ -85,11 +87,12 @@ def render_dataset(
     for fit in fits:
         if not fit.verdict.trusted:
             notes.append(f"The fit of {fit.model} is not to be trusted: {' '.join(fit.verdict.reasons)}")
+    trusted = all(fit.verdict.trusted for fit in fits)
     make_folder(folder)
     names = (fits[0].model, fits[1].model)
     images = zip((*names, "difference"), (*shown(comparison), difference_picture(comparison)), strict=True)
     files = tuple(write_file("picture", folder / f"{name}.png", _png(image)) for name, image in images)
-    return RenderedDataset(dataset.sample, names, comparison, pictures, variant, through, tuple(notes), files)
+    return RenderedDataset(dataset.sample, names, comparison, pictures, variant, through, trusted, tuple(notes), files)
 
 
 def write_plugin_scene(store: Store, dataset_id: int, path: Path, model: str | None) -> Export:

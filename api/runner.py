@@ -13,7 +13,8 @@ from api.bench import OperatedBench
 from api.derive import slug
 from api.errors import Conflict
 from api.mount_request import mount_request
-from api.service import Watch, mounting, preflight, run_alone
+from api.preflight import preflight
+from api.service import Watch, mounting, run_alone
 from api.settings import InstrumentSettings
 from api.state import Prompt, Running, Span, Told
 from drivers.errors import DriverError

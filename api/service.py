@@ -10,58 +10,44 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
 from pathlib import Path
 
-import numpy as np
 from usb.backend import IBackend
 
 from analysis.errors import AnalysisError
 from analysis.report import RunFacts
 from api.datasets import make_dataset, too_noisy
 from api.derive import REPORT, Derived, derive, end_with_parent, slug
+from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
-from goniometer.calibration import check_certificate
-from goniometer.campaign import Campaign, Sample
-from goniometer.certificate import NOMINAL_SRS99, Override
-from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
+from goniometer.campaign import Campaign
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
 from goniometer.errors import (
     BenchUnfit,
     CalibrationError,
-    CampaignError,
     CertificateError,
-    GoniometerError,
     NotInStore,
     StoreFull,
 )
-from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE
+from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset, own_datasets
-from goniometer.material_file import Content, material_file
-from goniometer.plan import plan_spec, reference_points, uniform_grid_size
+from goniometer.plan import plan_spec, uniform_grid_size
 from goniometer.records import Scan
-from goniometer.response import STANDARD
-from goniometer.safety import Forbidden, check_plan, grown, raised
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
-from simulators.materials import PANEL_CERTIFICATE, material
-from simulators.tabulated import Tabulated, check_reach
 
 ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
 """Phases of a scan that some process is running, or was when it was killed."""
 
 SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
-SAMPLE_STAGE_LIMITS = (0.0, LARGEST_ANGLE + 5.0)
-DETECTOR_STAGE_LIMITS = (-LARGEST_ANGLE, 2 * LARGEST_ANGLE)
-"""Degrees: all that in-plane geometry can ask for, and nothing beyond."""
 
 
 @dataclass(frozen=True)
@@ -305,9 +291,7 @@ async def run_alone(
 ) -> RunResult:
     """As `run`, for who holds `store.exclusive()`."""
     certificate = panel_certificate(campaign, settings)
-    _check_certificate(store, campaign, certificate)
-    _check_folders(store, campaign)
-    _check_reach(campaign, settings)
+    check_all(store, campaign, certificate, settings)
     if settings is None:
         campaign = with_materials(campaign)
     with _fitting_process() as executor:
@@ -354,97 +338,6 @@ async def run_alone(
             except BrokenProcessPool:
                 failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
     return RunResult(campaign_id, tuple(failures))
-
-
-def with_materials(campaign: Campaign) -> Campaign:
-    """The campaign with what is in every file that is a material of the simulated bench.
-
-    Raises `InputError` for a material that there is not, and for directions of which a table knows nothing.
-    """
-
-    def known(sample: Sample) -> Sample:
-        lying, file = material(sample.material), material_file(sample.material)
-        if file is None or not isinstance(lying, Tabulated):
-            return sample
-        check_reach(lying, campaign.theta_in, (campaign.outgoing.start, campaign.outgoing.stop))
-        content = Content(lying.sha256, float(lying.wavelengths[0]), float(lying.wavelengths[-1]))
-        return sample.model_copy(update={"material": str(file._replace(content=content))})
-
-    return campaign.model_copy(update={"samples": tuple(map(known, campaign.samples))})
-
-
-def preflight(store: Store, campaign: Campaign, settings: InstrumentSettings | None) -> list[str]:
-    """Why `run` would refuse `campaign` before a device is opened, as sentences; none where it would not."""
-    checks: list[Callable[[], object]] = [
-        lambda: _check_certificate(store, campaign, panel_certificate(campaign, settings)),
-        lambda: _check_folders(store, campaign),
-        lambda: _check_reach(campaign, settings),
-    ]
-    if settings is None:
-        checks.append(lambda: with_materials(campaign))
-    found = []
-    for check in checks:
-        try:
-            check()
-        except GoniometerError as error:
-            found.append(str(error))
-    return found
-
-
-def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -> str | None:
-    """Text of the certificate that the campaign names, or of that of the simulated panel; None where there is none.
-
-    Raises `CertificateError` where the file cannot be read.
-    """
-    path = campaign.reference.certificate
-    if path is not None:
-        return read_certificate(Path(path))
-    return certificate_csv(PANEL_CERTIFICATE) if settings is None else None
-
-
-def _check_certificate(store: Store, campaign: Campaign, text: str | None) -> None:
-    """Raise `CertificateError` where a certificate cannot calibrate what the campaign wants to measure."""
-    where = campaign.reference.certificate or "the simulated panel"
-    override = campaign.reference.override
-    begun = [
-        store.scans(campaign_id)[0].started for campaign_id, name in store.campaigns().items() if name == campaign.name
-    ]
-    day = next((date.fromisoformat(started[:10]) for started in begun if started), datetime.now(UTC).date())
-    check_certificate(text, where, None if override is None else Override(override.name, override.reason), day)
-    panel = NOMINAL_SRS99 if text is None else parse_certificate(text, where)
-    points = reference_points(plan_spec(campaign), campaign.reference.step)
-    theta_in, theta_out = np.array([(point.theta_in, point.theta_out) for point in points]).T
-    panel.brdf(theta_in, theta_out, np.array([STANDARD.lowest, STANDARD.highest]))
-
-
-def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> None:
-    """Raise `GeometryError` where the bench cannot take all that the campaign may ask for; no device is opened."""
-    limits = SAMPLE_STAGE_LIMITS, DETECTOR_STAGE_LIMITS
-    forbidden: tuple[Forbidden, ...] = ()
-    if settings is not None:
-        stages, backlash = settings.stages, settings.backlash
-        limits = raised((stages.sample.standing(limits[0]), stages.detector.standing(limits[1])), backlash)
-        forbidden = grown([each.region for each in settings.forbidden], backlash)
-    check_plan(plan_spec(campaign), limits, forbidden)
-
-
-def _check_folders(store: Store, campaign: Campaign) -> None:
-    """Raise `CampaignError` where results of two scans, or of two campaigns, would go into one folder."""
-    folders: dict[str, str] = {}
-    for name in (name for name, sample in campaign.series if sample is not None):
-        other = folders.pop(slug(name), None)
-        folders[slug(name)] = name
-        if other is not None:
-            raise CampaignError(
-                f'The samples "{other}" and "{name}" would both be kept in the folder {slug(name)}; '
-                f"give one sample another name."
-            )
-    for name in store.campaigns().values():
-        if name != campaign.name and slug(name) == slug(campaign.name):
-            raise CampaignError(
-                f'The campaigns "{name}" and "{campaign.name}" would both be kept in the folder {slug(name)}; '
-                f"give this one another name."
-            )
 
 
 def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:

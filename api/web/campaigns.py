@@ -8,8 +8,8 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, Field
 
 from api.live import Live
+from api.preflight import preflight
 from api.preview import preview as preview_of
-from api.service import preflight
 from api.state import Span
 from api.web.access import Caller, needs
 from api.web.context import Here, Number

@@ -123,7 +123,7 @@ def panel(alpha: float, found: list[File], *, first: bool) -> str:
     """One roughness of the chart."""
     with style():
         drawing, axes = new_axes(300, 240, left=52, bottom=40, top=24)
-        axes.set(xscale="log", yscale="log", xlim=(1e4, 1e8), ylim=(1e-3, 200), title=f"α = {alpha:g}")
+        axes.set(xscale="log", yscale="log", xlim=(6e3, 1e8), ylim=(1e-3, 200), title=f"α = {alpha:g}")
         axes.set(xlabel="file size / MB", ylabel="99th percentile of the error")
         axes.set_xticks([1e4, 1e5, 1e6, 1e7, 1e8], ["0.01", "0.1", "1", "10", "100"])
         axes.set_yticks([1e-3, 1e-2, 1e-1, 1, 10, 100], ["0.1 %", "1 %", "10 %", "100 %", "×10", "×100"])

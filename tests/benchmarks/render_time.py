@@ -173,6 +173,9 @@ def chart(found: list[Way], by_variant: dict[str, Pictures]) -> str:
             axes.plot([middle], [row], marker="D" if found[i].plain else "o", color=colour, markersize=5)
         axes.set(xscale="log", ylim=(len(rows) - 0.4, -0.6))
         axes.set_xlabel("CPU time of a million ways of light / s; ◆ with shift, ● without")
+        ticks = [v for v in (0.2, 0.5, 1, 2, 5, 10, 20, 50) if axes.get_xlim()[0] <= v <= axes.get_xlim()[1]]
+        axes.set_xticks(ticks, [f"{v:g}" for v in ticks])
+        axes.minorticks_off()
         labels = [f"{found[i].name} · {variant.split('_')[0]}" for variant, i in rows]
         axes.set_yticks(range(len(rows)), labels)
         axes.spines[["top", "right"]].set_visible(False)
