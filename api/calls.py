@@ -9,17 +9,10 @@ A call is made of what it asks and of how its answer is read, and is nothing bef
 Angles are degrees, wavelengths nanometres, BRDF 1/sr; answers are the models that the service itself writes.
 """
 
-import json
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal
 from urllib.parse import quote
 
-import httpx
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, TypeAdapter
-
+from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
 from api.job_arguments import (
     ChooseArguments,
     ExportAsked,
@@ -55,92 +48,42 @@ from api.web.scans import PointDetail, PointView, ScanView
 from drivers.arrays import FloatArray
 from goniometer.dataset import Kind
 
-T = TypeVar("T")
-
-_OCTETS = "application/octet-stream"
-_MOST = 200
-
-
-@dataclass(frozen=True)
-class Call(Generic[T]):
-    """One request, and how its answer is read."""
-
-    method: str
-    path: str
-    read: Callable[[httpx.Response], T]
-    query: dict[str, Any] = field(default_factory=dict)
-    """None is not sent."""
-    content: bytes | None = None
-    content_type: str = "application/json"
-    accept: str = "application/json"
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """All spectra of a dataset."""
-
-    theta_in: FloatArray
-    """[points] degrees."""
-    theta_out: FloatArray
-    """[points] degrees, signed; the mirror direction is +theta_in."""
-    wavelengths: FloatArray
-    """[wavelengths] nm."""
-    brdf: FloatArray
-    """[points, wavelengths] 1/sr; NaN where there is no value."""
-    u: FloatArray
-    """[points, wavelengths] combined standard uncertainty (coverage factor 1), 1/sr."""
-
-
-def _get(path: str, model: Any, **query: Any) -> Call[Any]:
-    return Call("GET", path, _reader(model), query)
-
-
-def _post(path: str, model: Any, body: BaseModel | dict[str, Any] | None = None) -> Call[Any]:
-    text = body.model_dump_json() if isinstance(body, BaseModel) else None if body is None else json.dumps(body)
-    return Call("POST", path, _reader(model), content=None if text is None else text.encode())
-
-
-def _reader(model: Any) -> Callable[[httpx.Response], Any]:
-    adapter = TypeAdapter(model)
-    return lambda response: adapter.validate_json(response.content)
-
-
 # The service and the bench
 
 
 def about() -> Call[About]:
     """What the service is, and which bench it drives."""
-    return _get("/api/about", About)
+    return get("/api/about", About)
 
 
 def me() -> Call[Me]:
     """Who asks, and what they may do."""
-    return _get("/api/me", Me)
+    return get("/api/me", Me)
 
 
 def instrument() -> Call[BenchState]:
     """What the bench is and does now."""
-    return _get("/api/instrument", BenchState)
+    return get("/api/instrument", BenchState)
 
 
 def order(what: Literal["connect", "disconnect", "home", "stop"]) -> Call[BenchState]:
     """Let the bench do something; `stop` ends whatever moves."""
-    return _post(f"/api/instrument/{what}", BenchState)
+    return post(f"/api/instrument/{what}", BenchState)
 
 
 def jog(to: Jog) -> Call[BenchState]:
     """Turn the stages; answers when they rest."""
-    return _post("/api/instrument/jog", BenchState, to)
+    return post("/api/instrument/jog", BenchState, to)
 
 
 def expose(how: Expose) -> Call[BenchState]:
     """Read a spectrum, which `spectrum` gives then."""
-    return _post("/api/instrument/expose", BenchState, how)
+    return post("/api/instrument/expose", BenchState, how)
 
 
 def spectrum() -> Call[tuple[FloatArray, FloatArray]]:
     """Wavelengths, nm, and raw counts [pixels] of the last spectrum."""
-    return Call("GET", "/api/instrument/spectrum", _two_halves, accept=_OCTETS)
+    return Call("GET", "/api/instrument/spectrum", two_halves, accept=OCTETS)
 
 
 # Campaigns, the queue and what was measured
@@ -148,67 +91,67 @@ def spectrum() -> Call[tuple[FloatArray, FloatArray]]:
 
 def validate(campaign: dict[str, Any]) -> Call[Verdict]:
     """Whether a campaign could be measured."""
-    return _post("/api/campaigns/validate", Verdict, campaign)
+    return post("/api/campaigns/validate", Verdict, campaign)
 
 
 def preview(campaign: dict[str, Any]) -> Call[PreviewView]:
     """What a campaign will do; nothing moves."""
-    return _post("/api/campaigns/preview", PreviewView, campaign)
+    return post("/api/campaigns/preview", PreviewView, campaign)
 
 
 def campaigns() -> Call[Page[CampaignView]]:
     """Campaigns that were begun, oldest first."""
-    return _get("/api/campaigns", Page[CampaignView], limit=_MOST)
+    return get("/api/campaigns", Page[CampaignView], limit=MOST)
 
 
 def campaign(number: int) -> Call[CampaignDetail]:
     """A campaign that was begun, and its scans."""
-    return _get(f"/api/campaigns/{number}", CampaignDetail)
+    return get(f"/api/campaigns/{number}", CampaignDetail)
 
 
 def queue(*, finished: bool = False) -> Call[Page[EntryView]]:
     """What is to be measured, in its order; or what was, newest first."""
-    return _get("/api/queue", Page[EntryView], finished=finished, limit=_MOST)
+    return get("/api/queue", Page[EntryView], finished=finished, limit=MOST)
 
 
 def entry(number: int) -> Call[EntryView]:
     """One entry of the queue."""
-    return _get(f"/api/queue/{number}", EntryView)
+    return get(f"/api/queue/{number}", EntryView)
 
 
 def enqueue(campaign: dict[str, Any] | str, start_after: str | None = None) -> Call[EntryView]:
     """Append a campaign, as an object or as YAML; it is measured once it is started."""
-    return _post("/api/queue", EntryView, {"campaign": campaign, "start_after": start_after})
+    return post("/api/queue", EntryView, {"campaign": campaign, "start_after": start_after})
 
 
 def entry_do(number: int, what: Literal["start", "pause", "resume", "abort", "mounted"]) -> Call[EntryView]:
     """Let an entry start, pause, go on or end, or say that the sample it asks for is mounted."""
-    return _post(f"/api/queue/{number}/{what}", EntryView)
+    return post(f"/api/queue/{number}/{what}", EntryView)
 
 
 def scans(campaign: int | None = None) -> Call[Page[ScanView]]:
     """Scans, those of one campaign or all."""
-    return _get("/api/scans", Page[ScanView], campaign=campaign, limit=_MOST)
+    return get("/api/scans", Page[ScanView], campaign=campaign, limit=MOST)
 
 
 def scan(number: int) -> Call[ScanView]:
     """One scan."""
-    return _get(f"/api/scans/{number}", ScanView)
+    return get(f"/api/scans/{number}", ScanView)
 
 
 def points(scan: int) -> Call[Page[PointView]]:
     """The points of a scan."""
-    return _get(f"/api/scans/{scan}/points", Page[PointView], limit=_MOST)
+    return get(f"/api/scans/{scan}/points", Page[PointView], limit=MOST)
 
 
 def measured_point(number: int) -> Call[PointDetail]:
     """A measured point, and the ids of its exposures."""
-    return _get(f"/api/points/{number}", PointDetail)
+    return get(f"/api/points/{number}", PointDetail)
 
 
 def counts(exposure: int) -> Call[FloatArray]:
     """Raw counts [pixels] of an exposure."""
-    return Call("GET", f"/api/exposures/{exposure}", lambda response: _floats(response.content), accept=_OCTETS)
+    return Call("GET", f"/api/exposures/{exposure}", lambda response: floats(response.content), accept=OCTETS)
 
 
 # Samples and datasets
@@ -216,12 +159,12 @@ def counts(exposure: int) -> Call[FloatArray]:
 
 def samples() -> Call[list[SampleRow]]:
     """All samples, in alphabetical order."""
-    return _get("/api/samples", list[SampleRow])
+    return get("/api/samples", list[SampleRow])
 
 
 def sample(name: str) -> Call[SampleView]:
     """A sample and its datasets."""
-    return _get(f"/api/samples/{quote(name, safe='')}", SampleView)
+    return get(f"/api/samples/{quote(name, safe='')}", SampleView)
 
 
 def datasets(
@@ -234,48 +177,48 @@ def datasets(
 ) -> Call[Page[DatasetRow]]:
     """Datasets, newest first; `flag` e.g. "below-noise", times in ISO 8601."""
     asked = {"sample": sample, "campaign": campaign, "kind": kind, "flag": flag, "since": since, "until": until}
-    return _get("/api/datasets", Page[DatasetRow], limit=_MOST, **asked)
+    return get("/api/datasets", Page[DatasetRow], limit=MOST, **asked)
 
 
 def dataset(number: int) -> Call[DatasetDetail]:
     """A dataset as it opens."""
-    return _get(f"/api/datasets/{number}", DatasetDetail)
+    return get(f"/api/datasets/{number}", DatasetDetail)
 
 
 def spectra(dataset: int) -> Call[Spectra]:
     """All spectra of a dataset as arrays."""
-    return Call("GET", f"/api/datasets/{dataset}/spectra", _spectra, accept=_OCTETS)
+    return Call("GET", f"/api/datasets/{dataset}/spectra", read_spectra, accept=OCTETS)
 
 
 def colour_map(dataset: int, *, filled: bool = True) -> Call[InPlaneMap]:
     """The in-plane map, with what can be said of the directions that were not measured."""
-    return _get(f"/api/datasets/{dataset}/map", InPlaneMap, filled=filled)
+    return get(f"/api/datasets/{dataset}/map", InPlaneMap, filled=filled)
 
 
 def point(dataset: int, number: int) -> Call[PointSpectrum]:
     """The spectrum of a point with its fits and flags; points count from 0."""
-    return _get(f"/api/datasets/{dataset}/points/{number}", PointSpectrum)
+    return get(f"/api/datasets/{dataset}/points/{number}", PointSpectrum)
 
 
 def slopes(dataset: int) -> Call[Slopes]:
     """Slopes of all spectra, and of the models."""
-    return _get(f"/api/datasets/{dataset}/slopes", Slopes)
+    return get(f"/api/datasets/{dataset}/slopes", Slopes)
 
 
 def distributions(dataset: int, wavelength: float | None = 600.0, *, filled: bool = True) -> Call[Distributions]:
     """The BRDF over theta_out at a wavelength, nm; None: as bright as the eye sees it."""
     asked = {"quantity": "luminance"} if wavelength is None else {"quantity": "wavelength", "wavelength": wavelength}
-    return _get(f"/api/datasets/{dataset}/distributions", Distributions, filled=filled, **asked)
+    return get(f"/api/datasets/{dataset}/distributions", Distributions, filled=filled, **asked)
 
 
 def models(dataset: int) -> Call[Ladder]:
     """The newest fit of every model, simplest first."""
-    return _get(f"/api/datasets/{dataset}/models", Ladder)
+    return get(f"/api/datasets/{dataset}/models", Ladder)
 
 
 def checks(dataset: int) -> Call[Checks]:
     """Sanity checks and flags."""
-    return _get(f"/api/datasets/{dataset}/checks", Checks)
+    return get(f"/api/datasets/{dataset}/checks", Checks)
 
 
 def budget(
@@ -283,17 +226,17 @@ def budget(
 ) -> Call[UncertaintyBudget]:
     """The uncertainty budget of the value nearest to a direction and wavelength."""
     asked = {"theta_in": theta_in, "theta_out": theta_out, "wavelength": wavelength}
-    return _get(f"/api/datasets/{dataset}/budget", UncertaintyBudget, **asked)
+    return get(f"/api/datasets/{dataset}/budget", UncertaintyBudget, **asked)
 
 
 def lineage(dataset: int) -> Call[Lineage]:
     """Where a dataset comes from, and what was made of it."""
-    return _get(f"/api/datasets/{dataset}/lineage", Lineage)
+    return get(f"/api/datasets/{dataset}/lineage", Lineage)
 
 
 def fits(dataset: int) -> Call[list[FitRow]]:
     """All fits of a dataset, oldest first."""
-    return _get(f"/api/datasets/{dataset}/fits", list[FitRow])
+    return get(f"/api/datasets/{dataset}/fits", list[FitRow])
 
 
 def fit_text(number: int) -> Call[str]:
@@ -303,12 +246,12 @@ def fit_text(number: int) -> Call[str]:
 
 def formats() -> Call[list[FormatView]]:
     """All formats of exports."""
-    return _get("/api/exports/formats", list[FormatView])
+    return get("/api/exports/formats", list[FormatView])
 
 
 def exports(dataset: int) -> Call[list[ExportView]]:
     """All files that were written from a dataset, oldest first."""
-    return _get(f"/api/datasets/{dataset}/exports", list[ExportView])
+    return get(f"/api/datasets/{dataset}/exports", list[ExportView])
 
 
 def export_file(number: int) -> Call[bytes]:
@@ -321,28 +264,28 @@ def export_file(number: int) -> Call[bytes]:
 
 def certificates() -> Call[list[CertificateRow]]:
     """All known certificates, newest first."""
-    return _get("/api/certificates", list[CertificateRow])
+    return get("/api/certificates", list[CertificateRow])
 
 
 def certificate(sha256: str) -> Call[CertificateView]:
     """A certificate with what it certifies."""
-    return _get(f"/api/certificates/{sha256}", CertificateView)
+    return get(f"/api/certificates/{sha256}", CertificateView)
 
 
 def hand_in_certificate(name: str, text: str) -> Call[CertificateView]:
     """Hand in a certificate, the text of a CSV file."""
-    read, query = _reader(CertificateView), {"name": name}
+    read, query = reader(CertificateView), {"name": name}
     return Call("POST", "/api/certificates", read, query, text.encode(), "text/csv")
 
 
 def references() -> Call[Page[Reference]]:
     """Scans of the reference panel with the drift of the lamp, newest first."""
-    return _get("/api/references", Page[Reference])
+    return get("/api/references", Page[Reference])
 
 
 def characterisations() -> Call[list[CharacterisationView]]:
     """What was measured of the bench itself, newest first."""
-    return _get("/api/characterisations", list[CharacterisationView])
+    return get("/api/characterisations", list[CharacterisationView])
 
 
 # Jobs
@@ -350,62 +293,62 @@ def characterisations() -> Call[list[CharacterisationView]]:
 
 def fit(dataset: int, how: HowAsked | None = None) -> Call[JobView]:
     """Fit a dataset anew."""
-    return _post(f"/api/datasets/{dataset}/fits", JobView, how or HowAsked())
+    return post(f"/api/datasets/{dataset}/fits", JobView, how or HowAsked())
 
 
 def export(dataset: int, what: ExportAsked) -> Call[JobView]:
     """Write a dataset in a format for others."""
-    return _post(f"/api/datasets/{dataset}/exports", JobView, what)
+    return post(f"/api/datasets/{dataset}/exports", JobView, what)
 
 
 def report(dataset: int) -> Call[JobView]:
     """Write the report of a dataset."""
-    return _post(f"/api/datasets/{dataset}/report", JobView)
+    return post(f"/api/datasets/{dataset}/report", JobView)
 
 
 def upload(name: str, content: bytes) -> Call[Upload]:
     """Send a file that is to be imported."""
-    return Call("POST", "/api/uploads", _reader(Upload), {"name": name}, content, _OCTETS)
+    return Call("POST", "/api/uploads", reader(Upload), {"name": name}, content, OCTETS)
 
 
 def import_file(asked: ImportAsked) -> Call[JobView]:
     """Make a dataset of what was uploaded."""
-    return _post("/api/datasets/import", JobView, asked)
+    return post("/api/datasets/import", JobView, asked)
 
 
 def recalibrate(dataset: int, how: RecalibrationAsked) -> Call[JobView]:
     """Calibrate the raw data of a dataset anew."""
-    return _post(f"/api/datasets/{dataset}/recalibrate", JobView, how)
+    return post(f"/api/datasets/{dataset}/recalibrate", JobView, how)
 
 
 def tradeoff(asked: TradeoffArguments) -> Call[JobView]:
     """Chart speed against accuracy on the machine of the service."""
-    return _post("/api/tradeoff", JobView, asked)
+    return post("/api/tradeoff", JobView, asked)
 
 
 def stability(asked: StabilityArguments) -> Call[JobView]:
     """Map where fits break and whether they say so."""
-    return _post("/api/stability", JobView, asked)
+    return post("/api/stability", JobView, asked)
 
 
 def choose(asked: ChooseArguments) -> Call[JobView]:
     """The simplest model that a scene needs."""
-    return _post("/api/choose", JobView, asked)
+    return post("/api/choose", JobView, asked)
 
 
 def jobs(*states: State, kind: str | None = None) -> Call[Page[JobView]]:
     """Jobs, newest first: those in one of the states, or all."""
-    return _get("/api/jobs", Page[JobView], state=list(states) or None, kind=kind, limit=_MOST)
+    return get("/api/jobs", Page[JobView], state=list(states) or None, kind=kind, limit=MOST)
 
 
 def job(number: int) -> Call[JobView]:
     """A job."""
-    return _get(f"/api/jobs/{number}", JobView)
+    return get(f"/api/jobs/{number}", JobView)
 
 
 def job_result(number: int) -> Call[dict[str, Any]]:
     """What came of a job; null is no value."""
-    return _get(f"/api/jobs/{number}/result", dict[str, Any])
+    return get(f"/api/jobs/{number}/result", dict[str, Any])
 
 
 def job_page(number: int) -> Call[str]:
@@ -415,26 +358,9 @@ def job_page(number: int) -> Call[str]:
 
 def job_again(number: int) -> Call[JobView]:
     """Run a job anew that is over."""
-    return _post(f"/api/jobs/{number}/again", JobView)
+    return post(f"/api/jobs/{number}/again", JobView)
 
 
 def cancel(number: int) -> Call[JobView]:
     """End a job, whatever it is doing."""
-    return Call("DELETE", f"/api/jobs/{number}", _reader(JobView))
-
-
-def _floats(content: bytes) -> NDArray[np.float64]:
-    return np.frombuffer(content, dtype="<f8").astype(np.float64)
-
-
-def _two_halves(response: httpx.Response) -> tuple[FloatArray, FloatArray]:
-    first, second = np.split(_floats(response.content), 2)
-    return first, second
-
-
-def _spectra(response: httpx.Response) -> Spectra:
-    points, wavelengths = np.frombuffer(response.content[:8], dtype="<u4").tolist()
-    sizes = (wavelengths, points, points, points * wavelengths, points * wavelengths)
-    at, theta_in, theta_out, brdf, u = np.split(_floats(response.content[8:]), np.cumsum(sizes)[:-1])
-    shape = points, wavelengths
-    return Spectra(theta_in, theta_out, at, brdf.reshape(shape), u.reshape(shape))
+    return Call("DELETE", f"/api/jobs/{number}", reader(JobView))

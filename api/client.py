@@ -21,7 +21,7 @@ import api.errors
 import drivers.errors
 import goniometer.errors
 from api import calls
-from api.calls import Call
+from api.call import Call
 from api.errors import ServiceError
 from api.job_rows import OPEN
 from api.views.jobs import JobView

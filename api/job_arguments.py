@@ -99,7 +99,7 @@ class ExportArguments(ExportAsked, OfDataset):
         if self.format not in FORMATS:
             raise InputError(f'There is no format "{self.format}"; there are {", ".join(FORMATS)}.')
         known = FORMATS[self.format].uses
-        if unknown := sorted(self.options.model_fields_set - set(known)):
+        if unknown := sorted(self.options.model_dump(exclude_defaults=True).keys() - set(known)):
             raise InputError(
                 f"An export to {self.format} has no option {unknown[0]}; it has {', '.join(known) or 'none'}."
             )

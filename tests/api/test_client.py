@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from api import calls
+from api.call import Call
 from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
 from api.errors import Conflict, Unauthorised
 from api.job_arguments import ExportAsked, HowAsked, ImportAsked
@@ -109,7 +110,7 @@ def test_a_list_is_read_to_its_end_page_after_page(bench: tuple[Served, str, Pat
     with Client(service.url, token) as client:
         scan = service.live.store.scans()[0]
         asked = calls.points(scan.id)
-        few = list(client.every(calls.Call("GET", asked.path, asked.read, {"limit": 3})))
+        few = list(client.every(Call("GET", asked.path, asked.read, {"limit": 3})))
         assert [point.number for point in few] == [point.number for point in service.live.store.points(scan.id)]
 
 
