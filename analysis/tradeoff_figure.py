@@ -36,7 +36,7 @@ def tradeoff_chapter(chart: Chart) -> str:
         + framed(
             [tradeoff_chart(chart)],
             f"{escape(chart.caption)} Better is to the left and below. The line joins those that no other one beats in "
-            "both; they are filled. Bars are quartiles. Point at a mark for its setting.",
+            "both; they are filled. Bars are quartiles of the cost. Point at a mark for its setting.",
         )
         + _table(chart)
     )
@@ -89,8 +89,10 @@ def _plain(value: float, _: object = None) -> str:
 
 
 def _in_words(value: float) -> str:
-    """Large ones in groups of three digits."""
-    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1e4 else f"{value:.4g}"
+    """Three digits, or all before the point; large ones in groups."""
+    if value < 1e3:
+        return f"{value:.3g}"
+    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1e4 else f"{value:.0f}"
 
 
 def _decades(low: float, high: float) -> float:
@@ -178,18 +180,21 @@ def _table(chart: Chart) -> str:
     """All choices by rising cost."""
     columns = list(dict.fromkeys(name for choice in chart.choices for name in choice.more))
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+    timed = any(choice.cost_low < choice.cost_high for choice in chart.choices)
     rows = []
     for index in sorted(range(len(chart.choices)), key=lambda i: chart.choices[i].cost):
         choice = chart.choices[index]
         more = "".join(f"<td>{_number(choice.more.get(name))}</td>" for name in columns)
         rows.append(
             f"<tr><td>{'●' if index in chart.front else ''}</td><th>{escape(choice.family)}: {escape(choice.name)}</th>"
-            f"<td>{escape(choice.setting)}</td><td>{choice.cost:.3g}</td>"
-            f"<td>{choice.cost_low:.3g} to {choice.cost_high:.3g}</td><td>{choice.error:.3g}</td>{more}</tr>"
+            f"<td>{escape(choice.setting)}</td><td>{_in_words(choice.cost)}</td>"
+            + f"<td>{_in_words(choice.cost_low)} to {_in_words(choice.cost_high)}</td>" * timed
+            + f"<td>{_in_words(choice.error)}</td>{more}</tr>"
         )
     return (
         '<div class="wide"><table><thead><tr><th>front</th><th>choice</th><th>setting</th>'
-        f"<th>{escape(chart.cost.label)}</th><th>quartiles</th><th>{escape(chart.error.label)}</th>{head}</tr></thead>"
+        f"<th>{escape(chart.cost.label)}</th>{'<th>quartiles</th>' * timed}<th>{escape(chart.error.label)}</th>{head}"
+        f"</tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
 

@@ -220,7 +220,8 @@ def _seen(
 def _logarithmic(value: FloatArray, right: FloatArray) -> float:
     """Root mean square error of ln(1 + cos(theta_in) f), which a coherent spike does not rule."""
     cosine = np.cos(np.radians(THETA_IN))
-    return float(np.sqrt(np.mean((np.log1p(cosine * value) - np.log1p(cosine * right)) ** 2)))
+    # a spline between few wavelengths may dip below zero
+    return float(np.sqrt(np.mean((np.log1p(cosine * np.maximum(value, 0.0)) - np.log1p(cosine * right)) ** 2)))
 
 
 def _relative(value: FloatArray, right: FloatArray) -> float:

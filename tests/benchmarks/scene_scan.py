@@ -24,9 +24,10 @@ from analysis.vertices import Vertices, display_for, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
 from goniometer.interpolant import predict_values
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached
+from simulators.tradeoff_scans import bench_minutes
 from tests.benchmarks.choose import CAMERA
 from tests.benchmarks.choose import SCENES as OF_CHOICE
-from tests.benchmarks.sampling import SPEC, measure, minutes
+from tests.benchmarks.sampling import SPEC, measure
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS, Truth
 
 SCENES = OF_CHOICE | {
@@ -105,8 +106,8 @@ def main(tolerance: float = 0.5, names: Sequence[str] = CHOSEN) -> None:
             alone_ratios[kind].append(len(measured) / len(alone))
             met, count = met + (mine <= tolerance), count + 1
             print(
-                f"{name:<17} {title:<13} {len(measured):4d} {minutes(measured):6.1f} {mine:6.3f} {stopped:<9}"
-                f" {len(full):5d} {minutes(full):6.1f} {error(vertices, exact, SPEC, full, truth):6.3f}"
+                f"{name:<17} {title:<13} {len(measured):4d} {bench_minutes(measured):6.1f} {mine:6.3f} {stopped:<9}"
+                f" {len(full):5d} {bench_minutes(full):6.1f} {error(vertices, exact, SPEC, full, truth):6.3f}"
                 f" {len(alone):10d} {error(vertices, exact, alone_spec, alone, truth):6.3f}"
                 f"   not measurable {1 - found.measurable:.1%}",
                 flush=True,
