@@ -1,0 +1,42 @@
+"""How soon the bench is on the screen, and how much goes over the wire for it.
+
+python -m tests.benchmarks.first_paint
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+from api.tokens import create_token
+from tests.api.test_screen import CHROMIUM
+from tests.served import served
+
+TIMES = 10
+"""With an empty cache each."""
+
+
+def main() -> None:
+    """Print paints and sizes."""
+    paints, arms, sizes = [], [], []
+    with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as service, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        for _ in range(TIMES):
+            token = create_token(service.live.store, "local", "first paint")[0]
+            page = browser.new_context(viewport={"width": 1500, "height": 1000}).new_page()
+            page.goto(f"{service.url}/bench#token={token}")
+            page.get_by_text("source", exact=True).wait_for()
+            arms.append(page.evaluate("performance.now()"))
+            paints.append(page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime"))
+            kinds = "[...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
+            sizes.append(page.evaluate(f"{kinds}.reduce((sum, each) => sum + each.transferSize, 0)"))
+        browser.close()
+    print(f"{'':34} {'median':>8} {'worst':>8}")
+    for name, values in (("first contentful paint, ms", paints), ("the arm is drawn, ms", arms)):
+        print(f"{name:34} {np.median(values):8.0f} {np.max(values):8.0f}")
+    print(f"{'transferred without the 3D view, kB':34} {np.median(sizes) / 1000:7.0f} {np.max(sizes) / 1000:8.0f}")
+
+
+if __name__ == "__main__":
+    main()
