@@ -28,8 +28,10 @@ def main() -> None:
             page.goto(f"{service.url}/bench#token={token}")
             page.get_by_text("source", exact=True).wait_for()
             arms.append(page.evaluate("performance.now()"))
-            page.wait_for_function("performance.getEntriesByName('first-contentful-paint').length")
-            paints.append(page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime"))
+            entries = "performance.getEntriesByName('first-contentful-paint').map(each => each.startTime)"
+            while not (found := page.evaluate(entries)):
+                page.wait_for_timeout(10)
+            paints += found
             kinds = "[...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
             sizes.append(page.evaluate(f"{kinds}.reduce((sum, each) => sum + each.transferSize, 0)"))
         browser.close()
