@@ -40,16 +40,6 @@ export function duration(seconds: number | null | undefined): string {
   return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, '0')} min`;
 }
 
-export function bytes(size: number): string {
-  const units = ['B', 'kB', 'MB', 'GB'];
-  let step = 0;
-  while (size >= 1000 && step < 3) {
-    size /= 1000;
-    step += 1;
-  }
-  return `${step === 0 ? size : size.toPrecision(3)} ${units[step]}`;
-}
-
 /** A moment in the time of the reader. */
 export function moment(text: string | null | undefined): string {
   return text ? new Date(text).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' }) : '–';

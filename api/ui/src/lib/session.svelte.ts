@@ -65,6 +65,17 @@ export async function call<T>(method: string, path: string, body?: unknown, head
 export const get = <T>(path: string): Promise<T> => call<T>('GET', path);
 export const post = <T>(path: string, body?: unknown, headers?: Record<string, string>): Promise<T> => call<T>('POST', path, body, headers);
 
+/** Do something that the service may refuse: the refusal, or null where it did not. */
+export async function refusal(act: () => Promise<unknown>): Promise<Problem | null> {
+  try {
+    await act();
+    return null;
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    return error;
+  }
+}
+
 /** A token in the fragment, which no server and no log sees, becomes a session and leaves the address. */
 export async function begin(): Promise<void> {
   const token = new URLSearchParams(location.hash.slice(1)).get('token');
