@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from analysis.bsdf_search import Budget
+from analysis.bsdf_search import USUAL_BUDGET
 from analysis.errors import AnalysisError
 from api.derive import Export, slug, write_bytes
 from api.package_texts import Part, Published, texts
@@ -109,7 +109,7 @@ def _derived(store: Store, dataset_id: int) -> tuple[list[Part], list[str]]:
 
 
 def _write_bsdf(store: Store, dataset_id: int, path: Path) -> Export:
-    return write_mitsuba(store, dataset_id, path, None, Budget())
+    return write_mitsuba(store, dataset_id, path, None, USUAL_BUDGET)
 
 
 def _attached(files: tuple[Path, ...]) -> list[Part]:
