@@ -1,6 +1,9 @@
 """The command line as a user runs it: a process of its own, with its exit code, stdout and stderr."""
 
+import fcntl
 import json
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -83,11 +86,27 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Folder and JSON of the small campaign, run once from end to end without interruption, from cold."""
-    folder = tmp_path_factory.mktemp("small")
-    (folder / "small.yaml").write_text(SMALL)
-    command = [COMMAND, "run", "small.yaml", "--json"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=TIMEOUT)
-    assert done.returncode == 0, done.stderr
-    return folder, json.loads(done.stdout)
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the small campaign, run once for all workers from end to end without interruption, from cold."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    folder, printed = shared / "finished", shared / "finished.json"
+    with (shared / "finished.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not printed.exists():
+            folder.mkdir()
+            (folder / "small.yaml").write_text(SMALL)
+            command = [COMMAND, "run", "small.yaml", "--json"]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+            assert done.returncode == 0, done.stderr
+            printed.write_text(done.stdout)
+    return folder
+
+
+@pytest.fixture
+def small(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A copy of the finished small campaign, for one test to do with as it likes, and the JSON that the run printed."""
+    folder = tmp_path_factory.mktemp("small") / "copy"
+    shutil.copytree(finished, folder)
+    return folder, json.loads(finished.with_name("finished.json").read_text())

@@ -53,10 +53,9 @@ def test_raw_counts_are_kept_and_cannot_be_changed(small: Small) -> None:
             database.execute("UPDATE exposures SET counts = x'00'")
 
 
-def test_a_finished_campaign_is_shown_again_and_not_measured_again(cli: Any, small: Small) -> None:
-    folder, result = small
-    again = cli("run", "small.yaml", "--json", cwd=folder)
-    assert json.loads(again.stdout) == result
+def test_a_finished_campaign_is_shown_again_and_not_measured_again(cli: Any, finished: Path, small: Small) -> None:
+    again = cli("run", "small.yaml", "--json", cwd=finished)
+    assert json.loads(again.stdout) == small[1]
 
 
 def test_a_changed_campaign_does_not_resume_under_the_old_name(cli: Any, small: Small) -> None:

@@ -39,10 +39,10 @@ def invoke(*arguments: object) -> Result:
 
 
 @pytest.fixture(scope="module")
-def folder(small: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a copy of the database of the small campaign."""
     folder = tmp_path_factory.mktemp("export")
-    shutil.copy(small[0] / "goniometer.db", folder / "measured.db")
+    shutil.copy(finished / "goniometer.db", folder / "measured.db")
     return folder
 
 

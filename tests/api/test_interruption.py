@@ -52,6 +52,7 @@ def count(folder: Path, query: str) -> int:
 
 
 DONE = "SELECT count(*) FROM points WHERE status = 'done'"
+IN_FLIGHT = "SELECT count(*) FROM points WHERE status = 'running'"
 
 
 def comparable(result: dict[str, Any]) -> list[dict[str, Any]]:
@@ -73,6 +74,11 @@ def test_killed_anywhere_a_run_continues_and_ends_with_the_same_numbers(
             wait_for(lambda moment=moment: count(folder, DONE) >= moment)
             process.send_signal(signal.SIGKILL)
             process.wait()
+    while count(folder, IN_FLIGHT) == 0:  # a killed process leaves its point as running
+        with running(folder) as process:
+            wait_for(lambda: count(folder, IN_FLIGHT) == 1)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
     with running(folder) as process:  # once more, when everything is measured and the fits are under way
         wait_for(lambda: count(folder, "SELECT count(*) FROM datasets") == 2)
         process.send_signal(signal.SIGKILL)
@@ -83,7 +89,7 @@ def test_killed_anywhere_a_run_continues_and_ends_with_the_same_numbers(
     assert comparable(json.loads(output)) == comparable(small[1])
     assert count(folder, DONE) == total
     assert count(folder, "SELECT count(*) FROM datasets") == 2
-    assert count(folder, "SELECT max(attempts) FROM points") > 1, "no point was ever in flight when killed"
+    assert count(folder, "SELECT max(attempts) FROM points") > 1
 
 
 def test_a_second_run_on_the_same_database_is_refused_and_harms_nothing(cli: Any, folder: Path) -> None:
