@@ -16,6 +16,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 import goniometer.service_tables  # noqa: F401  (its tables are made with all others)
 from goniometer import tables
 from goniometer.errors import NotInStore, StoreBusy, StoreError, StoreFull
+from goniometer.filesystem import served_by
 
 
 class Database:
@@ -35,7 +36,7 @@ class Database:
         Raises `StoreError` where it cannot be opened or is not ours, `StoreOutdated` where an older version of this
         program made it, `StoreFull` where there is no room.
         """
-        database = cls._reach(where)
+        database = cls.at(where)
         with database.faults():
             tables.prepare(database._engine, database.where)
         return database
@@ -46,7 +47,7 @@ class Database:
 
         Raises `StoreError` where it cannot be opened or is not ours.
         """
-        database = cls._reach(where)
+        database = cls.at(where)
         if database.file is not None and not database.file.exists():
             raise NotInStore(f"There is no database {database.where}; name one that is there")
         with database.reading() as connection:
@@ -54,7 +55,11 @@ class Database:
         return database
 
     @classmethod
-    def _reach(cls, where: Path | str) -> Self:
+    def at(cls, where: Path | str) -> Self:
+        """The database at `where`, which need not be there; it is neither read nor made yet.
+
+        Raises `StoreError` where there can be none.
+        """
         url = _url(where)
         file = None
         shown = url.render_as_string(hide_password=True)
@@ -64,6 +69,12 @@ class Database:
             url = url.set(database=str(file))
         if file and not file.parent.is_dir():
             raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
+        served = None if file is None else served_by(file)
+        if served:
+            raise StoreError(
+                f"{shown} lies on a network file system ({served}), where SQLite cannot keep it whole; "
+                f"name a file on a local disk, or a PostgreSQL database"
+            )
         engine = create_engine(url)
         if file:
             event.listen(engine, "connect", _configure_sqlite)

@@ -13,6 +13,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
 from goniometer import migrations, tables
+from goniometer.campaign import Sample
+from goniometer.constants import BenchData
 from goniometer.errors import StoreError, StoreOutdated
 from goniometer.store import Store
 from goniometer.upgrade import upgrade
@@ -68,8 +70,9 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
         name: [column for _, column, *_ in rows(file, f"PRAGMA table_info({name})")]
         for name in before - {"about", "sqlite_sequence"}
     }
+    rewritten = {"arrays"} | ({"json", "constants"} if version < 5 else set())  # they are read below
     queries = {
-        name: f"SELECT {', '.join(c for c in columns if c != 'arrays')} FROM {name} ORDER BY 1"
+        name: f"SELECT {', '.join(c for c in columns if c not in rewritten)} FROM {name} ORDER BY 1"
         for name, columns in kept.items()
     }
     read = {name: rows(file, query) for name, query in queries.items()}
@@ -77,6 +80,10 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
     upgrade(file)
     assert {name: rows(file, query) for name, query in queries.items()} == read
     store = Store.open(file)
+    campaign = store.campaign(1)
+    assert campaign.samples == (Sample(name="A", material="sample-1"),)
+    assert campaign.resolution.minimum_step == (0.5 if version < 5 else 0.2)
+    assert store.constants(2).bench == BenchData(gain=4.5, u_angle=0.006, aperture=1.1)
     dark, light = store.exposures(2)
     assert light.counts.astype("<u4").tobytes() == dark.counts.astype("<u4").tobytes() == COUNTS
     assert light.geometry is not None
