@@ -114,6 +114,7 @@ exposures = Table(
     Column("point_id", ForeignKey("points.id")),
     Column("kind", String, nullable=False),
     Column("integration_time", Float, nullable=False),
+    Column("sha256", String, nullable=False),  # of all that was read, see `goniometer.records.exposure_hash`
     Column("counts", LargeBinary, nullable=False),
     Column("device_count", Integer, nullable=False),
     Column("detector_temperature", Float, nullable=False),
