@@ -2,8 +2,9 @@
 
 import errno
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,8 +14,11 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 
 import goniometer.service_tables  # noqa: F401  (its tables are made with all others)
-from goniometer import tables
+from goniometer import postgresql, tables
 from goniometer.errors import NotInStore, StoreBusy, StoreError, StoreFull
+
+_RUN, _WRITE = postgresql.key("run"), postgresql.key("write")
+"""Locks of a PostgreSQL database."""
 
 
 class Database:
@@ -22,27 +26,33 @@ class Database:
 
     def __init__(self, engine: Engine, where: str, file: Path | None) -> None:
         self._engine = engine
-        self._where = where
+        self.where = where
+        """What people call it, without any password."""
         self._file = file
+        self._keeper: int | None = None
+        """The process of the server that keeps `exclusive` for this one; None where there is none."""
 
     @classmethod
     def open(cls, where: Path | str) -> Self:
-        """Open the SQLite file or SQLAlchemy URL `where`, creating the tables when there are none.
+        """Open the SQLite file or the URL `where`, of SQLite or PostgreSQL, creating the tables when there are none.
 
         Raises `StoreError` where it cannot be opened or is not ours, `StoreFull` where there is no room.
         """
         url = _url(where)
         file = None
-        shown = url.render_as_string(hide_password=True)
-        if url.get_backend_name() == "sqlite" and url.database not in {None, "", ":memory:"}:
-            shown = str(url.database)
-            file = Path(os.path.realpath(shown))  # one file has one lock, whichever link leads to it
-            url = url.set(database=str(file))
-        if file and not file.parent.is_dir():
-            raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
-        engine = create_engine(url)
-        if file:
-            event.listen(engine, "connect", _configure_sqlite)
+        shown = postgresql.shown(url)
+        if url.get_backend_name() == "postgresql":
+            engine = postgresql.connected(url)
+        else:
+            if url.database not in {None, "", ":memory:"}:
+                shown = str(url.database)
+                file = Path(os.path.realpath(shown))  # one file has one lock, whichever link leads to it
+                url = url.set(database=str(file))
+            if file and not file.parent.is_dir():
+                raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
+            engine = create_engine(url, hide_parameters=True)
+            if file:
+                event.listen(engine, "connect", _configure_sqlite)
         database = cls(engine, shown, file)
         with database._faults():
             tables.prepare(engine, shown)
@@ -58,29 +68,49 @@ class Database:
 
         Raises `StoreBusy` when another process holds it.
         """
-        if self._file is None:
-            raise StoreError(f"{self._where} cannot be locked; only an SQLite file can be run on so far")
-        lock = FileLock(self._file.with_name(self._file.name + ".lock"))
-        with self._faults():
-            try:
-                lock.acquire(timeout=0)
-            except Timeout:
+        with ExitStack() as held:
+            with self._faults():
+                if self._postgresql:
+                    self._keeper = held.enter_context(postgresql.session_lock(self._engine, _RUN))
+                    taken = self._keeper is not None
+                else:
+                    taken = self._lock_file(held)
+            if not taken:
                 raise StoreBusy(
-                    f"{self._where} is in use by another run, or by a service; wait for its end, abort it, "
-                    f"queue the campaign there, or name another file"
-                ) from None
+                    f"{self.where} is in use by another run, or by a service; wait for its end, abort it, "
+                    f"queue the campaign there, or name another database"
+                )
+            try:
+                yield
+            finally:
+                self._keeper = None
+
+    def _lock_file(self, held: ExitStack) -> bool:
+        """Lock an SQLite file until `held` ends, unless another process has."""
+        if self._file is None:
+            raise StoreError(f"{self.where} cannot be locked; name an SQLite file, or a PostgreSQL database")
+        lock = FileLock(self._file.with_name(self._file.name + ".lock"))
         try:
-            yield
-        finally:
-            lock.release()
+            lock.acquire(timeout=0)
+        except Timeout:
+            return False
+        held.callback(lock.release)
+        return True
 
     def in_use(self) -> bool:
         """Whether some process holds `exclusive` now."""
+        if self._postgresql:
+            with self.reading() as connection:
+                return postgresql.is_held(connection, _RUN)
         try:
             with self.exclusive():
                 return False
         except StoreBusy:
             return True
+
+    @property
+    def _postgresql(self) -> bool:
+        return self._engine.dialect.name == "postgresql"
 
     @contextmanager
     def _faults(self) -> Iterator[None]:
@@ -88,38 +118,60 @@ class Database:
         try:
             yield
         except IntegrityError as error:
-            raise StoreError(f"{self._where} refuses contradictory data: {error.orig}") from error
+            told = str(error.orig).splitlines()[0]
+            raise StoreError(f"{self.where} refuses contradictory data: {told}") from error
         except DBAPIError as error:
+            if self._postgresql:
+                raise postgresql.refusal(error, self.where) from error
             message = str(error.orig)
             if "full" in message:
-                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
+                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
             if "not a database" in message:
-                raise StoreError(f"{self._where} is not a database; name a new file or one of this program") from error
-            raise StoreError(f"{self._where} cannot be used: {message}") from error
+                raise StoreError(f"{self.where} is not a database; name a new file or one of this program") from error
+            raise StoreError(f"{self.where} cannot be used: {message}") from error
         except OSError as error:
             if error.errno == errno.ENOSPC:
-                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
-            raise StoreError(f"{self._where} cannot be used: {error.strerror or error}") from error
+                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
+            raise StoreError(f"{self.where} cannot be used: {error.strerror or error}") from error
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """A transaction that is on the disk when the block ends, or has not happened."""
+        """A transaction that is on the disk when the block ends, or has not happened.
+
+        Raises `StoreError` where `exclusive` was lost, with the connection that held it, to whoever may have it now.
+        """
         with self._faults(), self._engine.begin() as connection:
+            if self._postgresql:
+                postgresql.lock_transaction(connection, _WRITE, shared=True)
+                self._check_keeper(connection)
             yield connection
 
     @contextmanager
     def alone(self) -> Iterator[Connection]:
         """Like `writing`, and nobody else writes between what is read in the block and its end; others wait."""
+        if self._postgresql:
+            with self._faults(), self._engine.begin() as connection:
+                # A block cannot be repeated by who wrote it, as serialisable transactions ask for; so others wait.
+                postgresql.lock_transaction(connection, _WRITE, shared=False)
+                self._check_keeper(connection)
+                yield connection
+            return
         # Python's driver would begin with the first change, after what was read; so it is told to keep out of it.
         with self._faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            sqlite = connection.dialect.name == "sqlite"
-            connection.exec_driver_sql("BEGIN IMMEDIATE" if sqlite else "BEGIN ISOLATION LEVEL SERIALIZABLE")
+            connection.exec_driver_sql("BEGIN IMMEDIATE")
             try:
                 yield connection
             except BaseException:
                 connection.exec_driver_sql("ROLLBACK")
                 raise
             connection.exec_driver_sql("COMMIT")
+
+    def _check_keeper(self, connection: Connection) -> None:
+        if self._keeper is not None and not postgresql.is_held(connection, _RUN, self._keeper):
+            raise StoreError(
+                f"{self.where} has ended the connection that kept others from running here; see that no other run has "
+                f"begun, then run the campaign again"
+            )
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
@@ -136,7 +188,7 @@ class Database:
         """The first that a query finds; raises `NotInStore`, in which `what` was looked for."""
         rows = self.rows(query)
         if not rows:
-            raise NotInStore(f"There is no {what} in {self._where}; list what there is with the status command")
+            raise NotInStore(f"There is no {what} in {self.where}; list what there is with the status command")
         return rows[0]
 
     def _update(self, table: Table, row_id: int, **values: object) -> None:
@@ -145,12 +197,19 @@ class Database:
 
 
 def _url(where: Path | str) -> URL:
-    if isinstance(where, str) and "://" in where:
-        try:
-            return make_url(where)
-        except ArgumentError:
-            raise StoreError(f'"{where}" is not the address of a database; give a file or sqlite:///file') from None
-    return URL.create("sqlite", database=str(where))
+    if not (isinstance(where, str) and "://" in where):
+        return URL.create("sqlite", database=str(where))
+    try:
+        url = make_url(where)
+    except (ArgumentError, ValueError):  # the latter for a port that is no number
+        url = None
+    kind = None if url is None else url.drivername.partition("+")[0]
+    if url is None or kind not in {"sqlite", "postgresql", "postgres"}:
+        told = re.sub("(?<=://).*@", "***@", where)  # there may be a password
+        raise StoreError(
+            f'"{told}" is not the address of a database; give a file, sqlite:///file, or postgresql://user@host/name'
+        )
+    return url.set(drivername="postgresql") if kind == "postgres" else url
 
 
 def _configure_sqlite(connection: Any, _: object) -> None:

@@ -3,12 +3,13 @@
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
 characterisations of the bench stand alone. What the service needs besides stands in `goniometer.service_tables`.
-Exposures and everything derived are only ever added: in SQLite, triggers refuse to change or delete them. Times are
+Exposures and everything derived are only ever added: triggers refuse to change or delete them. Times are
 ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those of two sessions
 cannot be compared.
 """
 
 from sqlalchemy import (
+    BigInteger,
     CheckConstraint,
     Column,
     Connection,
@@ -30,6 +31,7 @@ from sqlalchemy import (
 )
 
 from goniometer.errors import StoreError
+from goniometer.postgresql import key, lock_transaction
 
 APPLICATION = "goniometer"
 SCHEMA_VERSION = 7
@@ -113,7 +115,9 @@ exposures = Table(
     Column("kind", String, nullable=False),
     Column("integration_time", Float, nullable=False),
     Column("counts", LargeBinary, nullable=False),
-    Column("device_count", Integer, nullable=False),
+    Column(
+        "device_count", Integer().with_variant(BigInteger(), "postgresql"), nullable=False
+    ),  # the device has 32 bits
     Column("detector_temperature", Float, nullable=False),
     Column("theta_in", Float),
     Column("theta_out", Float),
@@ -203,7 +207,11 @@ def prepare(engine: Engine, where: str) -> None:
     if not names:
         # Python's driver opens no transaction before CREATE TABLE, so each table would stay on its own.
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            connection.exec_driver_sql("BEGIN IMMEDIATE" if engine.dialect.name == "sqlite" else "BEGIN")
+            if engine.dialect.name == "sqlite":
+                connection.exec_driver_sql("BEGIN IMMEDIATE")
+            else:
+                connection.exec_driver_sql("BEGIN")
+                lock_transaction(connection, key("tables"), shared=False)
             if not inspect(connection).get_table_names():  # another process may have been faster
                 _create(connection)
             connection.exec_driver_sql("COMMIT")  # without it, closing the connection rolls back
@@ -225,8 +233,9 @@ def _check(connection: Connection, where: str) -> None:
 def _create(connection: Connection) -> None:
     metadata.create_all(connection)
     connection.execute(insert(about).values(application=APPLICATION, schema_version=SCHEMA_VERSION))
+    guarded = [each for each in metadata.sorted_tables if each.info == ONLY_ADDED]
     if connection.dialect.name == "sqlite":
-        for table in (each for each in metadata.sorted_tables if each.info == ONLY_ADDED):
+        for table in guarded:
             for verb in ("UPDATE", "DELETE"):
                 connection.execute(
                     text(
@@ -234,3 +243,20 @@ def _create(connection: Connection) -> None:
                         f"BEGIN SELECT RAISE(ABORT, '{table.name} are only ever added'); END"
                     )
                 )
+    else:
+        connection.execute(text(_REFUSES))
+        for table in guarded:
+            connection.execute(
+                text(
+                    f"CREATE TRIGGER {table.name}_only_added BEFORE UPDATE OR DELETE OR TRUNCATE ON {table.name} "
+                    f"EXECUTE FUNCTION refuse_change()"
+                )
+            )
+
+
+_REFUSES = """
+CREATE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS $$
+BEGIN
+    RAISE EXCEPTION '% are only ever added', TG_TABLE_NAME USING ERRCODE = 'integrity_constraint_violation';
+END $$
+"""
