@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -27,8 +28,9 @@ class Database:
     def __init__(self, engine: Engine, where: str, file: Path | None) -> None:
         self._engine = engine
         self.where = where
-        """What people call it, without any password."""
-        self._file = file
+        """What messages call it; no password is in it."""
+        self.file = file
+        """Of an SQLite database that is not in memory only."""
         self._keeper: int | None = None
         """The process of the server that keeps `exclusive` for this one; None where there is none."""
 
@@ -36,27 +38,44 @@ class Database:
     def open(cls, where: Path | str) -> Self:
         """Open the SQLite file or the URL `where`, of SQLite or PostgreSQL, creating the tables when there are none.
 
-        Raises `StoreError` where it cannot be opened or is not ours, `StoreFull` where there is no room.
+        Raises `StoreError` where it cannot be opened or is not ours, `StoreOutdated` where an older version of this
+        program made it, `StoreFull` where there is no room.
         """
+        database = cls._reach(where)
+        with database.faults():
+            tables.prepare(database._engine, database.where)
+        return database
+
+    @classmethod
+    def as_it_is(cls, where: Path | str) -> Self:
+        """Open a database that is there, whichever version of this program made it; nothing in it is changed.
+
+        Raises `StoreError` where it cannot be opened or is not ours.
+        """
+        database = cls._reach(where)
+        if database.file is not None and not database.file.exists():
+            raise NotInStore(f"There is no database {database.where}; name one that is there")
+        with database.reading() as connection:
+            tables.check_ours(connection, database.where)
+        return database
+
+    @classmethod
+    def _reach(cls, where: Path | str) -> Self:
         url = _url(where)
-        file = None
         shown = postgresql.shown(url)
         if url.get_backend_name() == "postgresql":
-            engine = postgresql.connected(url)
-        else:
-            if url.database not in {None, "", ":memory:"}:
-                shown = str(url.database)
-                file = Path(os.path.realpath(shown))  # one file has one lock, whichever link leads to it
-                url = url.set(database=str(file))
-            if file and not file.parent.is_dir():
-                raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
-            engine = create_engine(url, hide_parameters=True)
-            if file:
-                event.listen(engine, "connect", _configure_sqlite)
-        database = cls(engine, shown, file)
-        with database._faults():
-            tables.prepare(engine, shown)
-        return database
+            return cls(postgresql.connected(url), shown, None)
+        file = None
+        if url.database not in {None, "", ":memory:"}:
+            shown = str(url.database)
+            file = Path(os.path.realpath(shown))  # one file has one lock, whichever link leads to it
+            url = url.set(database=str(file))
+        if file and not file.parent.is_dir():
+            raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
+        engine = create_engine(url, hide_parameters=True)
+        if file:
+            event.listen(engine, "connect", _configure_sqlite)
+        return cls(engine, shown, file)
 
     def close(self) -> None:
         """Let go of the database."""
@@ -69,7 +88,7 @@ class Database:
         Raises `StoreBusy` when another process holds it.
         """
         with ExitStack() as held:
-            with self._faults():
+            with self.faults():
                 if self._postgresql:
                     self._keeper = held.enter_context(postgresql.session_lock(self._engine, _RUN))
                     taken = self._keeper is not None
@@ -87,9 +106,9 @@ class Database:
 
     def _lock_file(self, held: ExitStack) -> bool:
         """Lock an SQLite file until `held` ends, unless another process has."""
-        if self._file is None:
+        if self.file is None:
             raise StoreError(f"{self.where} cannot be locked; name an SQLite file, or a PostgreSQL database")
-        lock = FileLock(self._file.with_name(self._file.name + ".lock"))
+        lock = FileLock(self.file.with_name(self.file.name + ".lock"))
         try:
             lock.acquire(timeout=0)
         except Timeout:
@@ -113,17 +132,17 @@ class Database:
         return self._engine.dialect.name == "postgresql"
 
     @contextmanager
-    def _faults(self) -> Iterator[None]:
+    def faults(self) -> Iterator[None]:
         """Turn what the database or the disk refuses into this floor's errors."""
         try:
             yield
         except IntegrityError as error:
             told = str(error.orig).splitlines()[0]
             raise StoreError(f"{self.where} refuses contradictory data: {told}") from error
-        except DBAPIError as error:
-            if self._postgresql:
+        except (DBAPIError, sqlite3.Error) as error:
+            if self._postgresql and isinstance(error, DBAPIError):
                 raise postgresql.refusal(error, self.where) from error
-            message = str(error.orig)
+            message = str(error.orig if isinstance(error, DBAPIError) else error)
             if "full" in message:
                 raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
             if "not a database" in message:
@@ -140,33 +159,40 @@ class Database:
 
         Raises `StoreError` where `exclusive` was lost, with the connection that held it, to whoever may have it now.
         """
-        with self._faults(), self._engine.begin() as connection:
+        with self.faults(), self._engine.begin() as connection:
             if self._postgresql:
-                postgresql.lock_transaction(connection, _WRITE, shared=True)
-                self._check_keeper(connection)
+                self._lock_writing(connection, shared=True)
             yield connection
 
     @contextmanager
-    def alone(self) -> Iterator[Connection]:
-        """Like `writing`, and nobody else writes between what is read in the block and its end; others wait."""
+    def alone(self, *, references_checked: bool = True) -> Iterator[Connection]:
+        """Like `writing`, and nobody else writes between what is read in the block and its end; others wait.
+
+        Without `references_checked`, SQLite lets rows refer to what is not there: who writes tables anew checks it.
+        """
         if self._postgresql:
-            with self._faults(), self._engine.begin() as connection:
+            with self.faults(), self._engine.begin() as connection:
                 # A block cannot be repeated by who wrote it, as serialisable transactions ask for; so others wait.
-                postgresql.lock_transaction(connection, _WRITE, shared=False)
-                self._check_keeper(connection)
+                self._lock_writing(connection, shared=False)
                 yield connection
             return
         # Python's driver would begin with the first change, after what was read; so it is told to keep out of it.
-        with self._faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        with self.faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            if not references_checked:
+                connection.exec_driver_sql("PRAGMA foreign_keys=OFF")
             connection.exec_driver_sql("BEGIN IMMEDIATE")
             try:
                 yield connection
             except BaseException:
                 connection.exec_driver_sql("ROLLBACK")
                 raise
-            connection.exec_driver_sql("COMMIT")
+            else:
+                connection.exec_driver_sql("COMMIT")
+            finally:
+                connection.exec_driver_sql("PRAGMA foreign_keys=ON")
 
-    def _check_keeper(self, connection: Connection) -> None:
+    def _lock_writing(self, connection: Connection, *, shared: bool) -> None:
+        postgresql.lock_transaction(connection, _WRITE, shared=shared)
         if self._keeper is not None and not postgresql.is_held(connection, _RUN, self._keeper):
             raise StoreError(
                 f"{self.where} has ended the connection that kept others from running here; see that no other run has "
@@ -176,7 +202,7 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """A connection to read from."""
-        with self._faults(), self._engine.connect() as connection:
+        with self.faults(), self._engine.connect() as connection:
             yield connection
 
     def rows(self, query: Select[Any], values: Mapping[str, object] | None = None) -> Sequence[Row[Any]]:
