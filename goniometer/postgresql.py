@@ -6,7 +6,7 @@ reached directly, or through a pool that leaves a session its connection.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -77,18 +77,24 @@ def key(what: str) -> int:
 
 
 @contextmanager
-def session_lock(engine: Engine, number: int) -> Iterator[int | None]:
-    """Hold a lock by a connection of its own; yields the process of the server that keeps it, None where it is held."""
+def session_locks(engine: Engine, numbers: Sequence[tuple[int, bool]]) -> Iterator[int | None]:
+    """Hold locks by a connection of their own; with each stands whether it is shared with who shares it, too.
+
+    Yields the process of the server that keeps them, None where one of them is held by somebody else.
+    """
     with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        connection.detach()  # it is closed in the end, and with it the lock, and never lent to anybody else
-        query = text("SELECT CASE WHEN pg_try_advisory_lock(:key) THEN pg_backend_pid() END")
-        process: int | None = connection.execute(query, {"key": number}).scalar()
+        connection.detach()  # it is closed in the end, and with it the locks, and never lent to anybody else
+        taken = all(
+            connection.execute(text(f"SELECT pg_try_advisory_lock{'_shared' if shared else ''}(:key)"), {"key": number})
+            .scalars()
+            .one()
+            for number, shared in numbers
+        )
         try:
-            yield process
+            yield int(connection.execute(text("SELECT pg_backend_pid()")).scalar_one()) if taken else None
         finally:
-            if process is not None:
-                with suppress(DBAPIError):  # the connection was lost, and with it the lock
-                    connection.execute(text("SELECT pg_advisory_unlock(:key)"), {"key": number})
+            with suppress(DBAPIError):  # the connection was lost, and with it the locks
+                connection.execute(text("SELECT pg_advisory_unlock_all()"))
 
 
 def is_held(connection: Connection, number: int, process: int | None = None) -> bool:

@@ -2,10 +2,10 @@
 
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
-characterisations of the bench stand alone. What the service needs besides stands in `goniometer.service_tables`.
-Exposures and everything derived are only ever added: triggers refuse to change or delete them. Times are
-ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those of two sessions
-cannot be compared.
+characterisations of a bench stand alone. A campaign is measured on one bench, whose name it has. What the service needs
+besides stands in `goniometer.service_tables`. Exposures and everything derived are only ever added: triggers refuse to
+change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench
+that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
@@ -38,6 +38,9 @@ APPLICATION = "goniometer"
 OLD_VERSION = 8
 """What `about` tells programs from before `goniometer.migrations`, which refuse it; it never changes again."""
 
+BENCH = "bench"
+"""The name of a bench that was given no other."""
+
 metadata = MetaData()
 
 ONLY_ADDED = {"only_added": True}
@@ -59,6 +62,7 @@ campaigns = Table(
     Column("hash", String, nullable=False),
     Column("certificate", Text),
     Column("created", String, nullable=False),
+    Column("bench", String, nullable=False, server_default=BENCH),
 )
 
 scans = Table(
@@ -188,6 +192,7 @@ characterisations = Table(
     "characterisations",
     metadata,
     Column("id", Integer, primary_key=True),
+    Column("bench", String, nullable=False, server_default=BENCH),
     Column("kind", String, nullable=False),
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
