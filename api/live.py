@@ -12,6 +12,7 @@ from api.runner import Task
 from api.settings import InstrumentSettings
 from api.views.opened import Datasets
 from goniometer.store import Store
+from goniometer.tables import BENCH
 
 
 @dataclass(frozen=True)
@@ -45,15 +46,17 @@ def open_live(
     *,
     url: str = "http://127.0.0.1:8000",
     mounts_by_itself: bool = False,
+    bench: str = BENCH,
 ) -> Iterator[Live]:
     """The service on `database`, until the context ends; nothing moves before an application is made of it.
 
     `settings` of None are the simulated bench, on which samples are laid without asking anybody if `mounts_by_itself`.
-    `url` is where the service answers. Raises `StoreError` where the database cannot be opened.
+    `url` is where the service answers; `bench` is the name of the bench. Raises `StoreError` where the database cannot
+    be opened.
     """
-    store = Store.open(database)
+    store = Store.open(database, bench)
     events = Events()
-    worker = Link(Task(database, output, settings, url, mounts_by_itself), store, events)
+    worker = Link(Task(database, output, settings, url, mounts_by_itself, bench), store, events)
     jobs = Jobs(store, database, output, events)
     datasets = Datasets(store, output / "cache")
     try:

@@ -41,6 +41,8 @@ class Task:
     """Where the service answers."""
     mounts_by_itself: bool
     """Whether samples are laid on the simulated bench without asking anybody."""
+    bench: str
+    """Name of the bench."""
     since: str = ""
     """When the process was started, ISO 8601 in UTC: what was queued before waits for somebody to look."""
 

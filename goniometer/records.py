@@ -161,6 +161,8 @@ class Characterisation:
     json: str
     created: str
     """ISO 8601 in UTC."""
+    bench: str
+    """Name of the bench."""
 
 
 def now() -> str:
