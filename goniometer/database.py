@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,9 @@ import goniometer.service_tables  # noqa: F401  (its tables are made with all ot
 from goniometer import tables
 from goniometer.errors import NotInStore, StoreBusy, StoreError, StoreFull
 
+CONNECTIONS = 40
+"""To a file, that are kept open once they were needed."""
+
 
 class Database:
     """An open database; `Database.open` makes one."""
@@ -24,6 +28,7 @@ class Database:
         self._engine = engine
         self._where = where
         self._file = file
+        self._watching: sqlite3.Connection | None = None
 
     @classmethod
     def open(cls, where: Path | str) -> Self:
@@ -40,7 +45,8 @@ class Database:
             url = url.set(database=str(file))
         if file and not file.parent.is_dir():
             raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
-        engine = create_engine(url)
+        # a server asks from as many threads; what is above the size of the pool is opened anew each time
+        engine = create_engine(url, pool_size=CONNECTIONS) if file else create_engine(url)
         if file:
             event.listen(engine, "connect", _configure_sqlite)
         database = cls(engine, shown, file)
@@ -51,6 +57,25 @@ class Database:
     def close(self) -> None:
         """Let go of the database."""
         self._engine.dispose()
+        if self._watching is not None:
+            self._watching.close()
+            self._watching = None
+
+    def version(self) -> int | None:
+        """A number that is another one after every change, whoever makes it; None where the database tells of none.
+
+        That takes some microseconds and waits for nobody; only one thread may ask.
+        """
+        if self._file is None:
+            return None
+        if self._watching is None:
+            where = f"{self._file.as_uri()}?mode=ro"
+            self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
+        try:
+            # it tells of changes by other connections only, and this one changes nothing
+            return int(self._watching.execute("PRAGMA data_version").fetchone()[0])
+        except sqlite3.OperationalError:  # somebody has locked it
+            return None
 
     @contextmanager
     def exclusive(self) -> Iterator[None]:
