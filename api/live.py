@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from api.callers import Callers
 from api.events import Events
 from api.jobs import Jobs
 from api.link import Link
@@ -34,6 +35,8 @@ class Live:
     """Heavy work in processes of its own."""
     datasets: Datasets
     """Datasets as they are looked at."""
+    callers: Callers
+    """Who asks for something."""
     files: Path
     """Folder of what campaigns name: certificates, materials and weights of scenes."""
 
@@ -60,7 +63,7 @@ def open_live(
     jobs = Jobs(store, database, output, events)
     datasets = Datasets(store, output / "cache")
     try:
-        yield Live(store, database, settings, events, worker, output, jobs, datasets, Path.cwd())
+        yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())
     finally:
         jobs.close()
         events.close()
