@@ -11,7 +11,7 @@ from api import audit
 from api.arguments import DATABASE, AsJson, emit
 from api.logged import Logged, account
 from goniometer.backup import back_up, restore
-from goniometer.database import Database
+from goniometer.database import Database, shown_place
 from goniometer.errors import StoreOutdated
 from goniometer.integrity import Findings, check
 from goniometer.store import Store
@@ -19,7 +19,7 @@ from goniometer.upgrade import upgrade
 
 db = typer.Typer(help="Keep the database: back it up, restore, check and upgrade it.")
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
-OfDatabase = Annotated[str, typer.Option("--database", "-d", help="SQLite file.")]
+OfDatabase = Annotated[str, typer.Option("--database", "-d", help="Its file.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
 @db.command(name="backup")
 def backup_command(
     target: Annotated[Path, typer.Argument(help="File to write; there must be none.", show_default=False)],
-    database: OfDatabase = str(DATABASE),
+    database: OfDatabase = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Copy the database to a file, also while a campaign runs; the copy is checked before it gets its name."""
@@ -38,22 +38,22 @@ def backup_command(
     back_up(store, target)
     store.close()
     size = target.stat().st_size
-    line = f"{database} is backed up as {target}, {size / 1e6:.1f} MB, and checked."
-    _tell({"database": database, "backup": str(target), "bytes": size}, [line], as_json=as_json)
+    line = f"{shown_place(database)} is backed up as {target}, {size / 1e6:.1f} MB, and checked."
+    _tell({"database": shown_place(database), "backup": str(target), "bytes": size}, [line], as_json=as_json)
 
 
 @db.command(name="restore")
 def restore_command(
     backup: Annotated[Path, typer.Argument(help="File that db backup has written.", show_default=False)],
-    database: OfDatabase = str(DATABASE),
+    database: OfDatabase = DATABASE,
     replace: Annotated[
         bool, typer.Option("--replace", help="In place of the database that is there, which is kept beside it.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Let the database be what a backup holds, once the backup is seen to be whole."""
-    kept = restore(backup, Path(database), replace=replace)
-    lines = [f"{database} is what {backup} holds."]
+    kept = restore(backup, database, replace=replace)
+    lines = [f"{shown_place(database)} is what {backup} holds."]
     if kept is not None:
         lines.append(f"What it was before is kept as {kept}.")
     try:
@@ -65,31 +65,35 @@ def restore_command(
     except StoreOutdated as error:
         lines.append(f"{error}.")
         current = False
-    found = {"database": database, "backup": str(backup), "kept": kept and str(kept), "current": current}
+    found = {"database": shown_place(database), "backup": str(backup), "kept": kept and str(kept), "current": current}
     _tell(found, lines, as_json=as_json)
 
 
 @db.command(name="check")
-def check_command(database: TheDatabase = str(DATABASE), as_json: AsJson = False) -> None:
+def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Read the whole database and say in one line each what is wrong."""
     found = examine(database)
     lines = [f"{fault}." for fault in found.faults] or [
-        f"{database} is whole: {found.exposures} raw exposures are as they were written, {found.datasets} datasets "
-        f"know what they were made of, and the log is complete."
+        f"{shown_place(database)} is whole: {found.exposures} raw exposures are as they were written, "
+        f"{found.datasets} datasets know what they were made of, and the log is complete."
     ]
-    _tell({"database": database, "whole": not found.faults, **dataclasses.asdict(found)}, lines, as_json=as_json)
+    _tell(
+        {"database": shown_place(database), "whole": not found.faults, **dataclasses.asdict(found)},
+        lines,
+        as_json=as_json,
+    )
     if found.faults:
         raise typer.Exit(1)
 
 
 @db.command(name="upgrade", cls=Logged)
-def upgrade_command(database: TheDatabase = str(DATABASE), as_json: AsJson = False) -> None:
+def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Bring the database of an older version to this one: all of it or nothing, after a backup beside it."""
     done = upgrade(database)
-    lines = done.steps or [f"{database} is of this version already."]
+    lines = done.steps or [f"{shown_place(database)} is of this version already."]
     if done.backup is not None:
         lines = [f"Backed up as {done.backup}.", *lines]
-    found = {"database": database, "steps": done.steps, "backup": done.backup and str(done.backup)}
+    found = {"database": shown_place(database), "steps": done.steps, "backup": done.backup and str(done.backup)}
     _tell(found, lines, as_json=as_json)
 
 

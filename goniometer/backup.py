@@ -31,21 +31,21 @@ def back_up(database: Database, target: Path) -> None:
         os.rename(part, target)
 
 
-def restore(backup: Path, database: Path, *, replace: bool) -> Path | None:
-    """Let `database` be what the file `backup` holds, once that is seen to be whole; returns where the old one is kept.
+def restore(backup: Path, where: Path | str, *, replace: bool) -> Path | None:
+    """Let the database `where` be what the file `backup` holds, once that is seen to be whole.
 
-    None is returned where there was none. Raises `NotInStore` where there is no backup, `StoreError` where it is
-    damaged or another program's, where there is a database and `replace` is not said, and `StoreBusy` while somebody
-    uses it. Whenever this is interrupted, `database` is the old one or the new one, whole.
+    Returns where the old one is kept, None where there was none. Raises `NotInStore` where there is no backup,
+    `StoreError` where it is damaged or another program's, where there is a database and `replace` is not said, and
+    `StoreBusy` while somebody uses it. Whenever this is interrupted, it is the old one or the new one, whole.
     """
     if not backup.is_file():
         raise NotInStore(f"There is no backup {backup}; name a file that goniometer db backup has written")
-    there = database.exists()
-    if there and not replace:
-        raise StoreError(f"{database} is there already; name another file, or say --replace")
-    place = Database.at(database)
+    place = Database.at(where)
     file = _file_of(place)
-    with place.faults(), place.exclusive(), _copied(backup, file, str(backup)) as part:
+    there = file.exists()
+    if there and not replace:
+        raise StoreError(f"{place.where} is there already; name another file, or say --replace")
+    with place.faults(), place.exclusive(everywhere=True), _copied(backup, file, str(backup)) as part:
         kept = None
         if there:
             moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")

@@ -161,6 +161,8 @@ class Characterisation:
     json: str
     created: str
     """ISO 8601 in UTC."""
+    bench: str
+    """Name of the bench."""
 
 
 def now() -> str:
@@ -168,9 +170,12 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+_OF_SCAN = tuple(field.name for field in fields(Scan))
+
+
 def to_scan(row: Row[Any]) -> Scan:
     """A row of `tables.scans` with its `repeat`."""
-    values = {field.name: getattr(row, field.name) for field in fields(Scan)}
+    values = {name: getattr(row, name) for name in _OF_SCAN}
     if row.remaining is not None:
         values["remaining"] = Expected(row.remaining, row.remaining_low, row.remaining_high)
     return Scan(**values)
