@@ -15,6 +15,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command()
     def serve(
+        context: typer.Context,
         database: DatabaseFile = DATABASE,
         output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
         instrument: Annotated[
@@ -45,4 +46,5 @@ def register(app: typer.Typer) -> None:
         if settings is not None and mount_by_itself:
             raise InputError("--mount-by-itself is for the simulated bench; leave it out, or leave out --instrument.")
         listen = Listen(host, port, tls_cert, tls_key, behind_proxy, tuple(host_name or ()))
-        run(database, output, settings, listen, mounts_by_itself=mount_by_itself, bench=bench_of(bench, settings))
+        name = bench_of(bench, settings)
+        run(database, output, settings, listen, mounts_by_itself=mount_by_itself, bench=name, cluster=context.obj)

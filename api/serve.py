@@ -52,8 +52,11 @@ def serve(
     *,
     mounts_by_itself: bool = False,
     bench: str = BENCH,
+    cluster: str | None = None,
 ) -> None:
     """Serve until SIGTERM or SIGINT; the bench, which has the name `bench`, is parked then.
+
+    Heavy work goes to the Dask scheduler `cluster`, if any.
 
     Raises `StoreError` where the database cannot be opened, and `ConfigurationError` where nobody can, or may, listen
     there.
@@ -72,7 +75,9 @@ def serve(
             # to the terminal and not to the log, which is kept; "goniometer token create" makes another
             print(f"Open {url}/#token={token}", flush=True)
         store.close()
-        with open_live(database, output, settings, url=url, mounts_by_itself=mounts_by_itself, bench=bench) as live:
+        with open_live(
+            database, output, settings, url=url, mounts_by_itself=mounts_by_itself, bench=bench, cluster=cluster
+        ) as live:
             config = uvicorn.Config(
                 make_app(live, access),
                 log_config=None,

@@ -1,8 +1,6 @@
 """`goniometer simulate waves`: the in-plane spectral BRDF of a surface by scalar wave optics."""
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -15,7 +13,7 @@ from analysis.analyse import analyse
 from analysis.fresnel import load_conductor
 from analysis.local_fit import LEAST_WAVELENGTHS
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.derive import end_with_parent
+from api.executor import processes
 from api.logged import Logged
 from api.products import conductor_name
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
@@ -53,6 +51,7 @@ def register(app: typer.Typer) -> None:
 
 
 def waves_command(
+    context: typer.Context,
     surface: SurfaceName,
     size: Side = None,
     pitch: Step = None,
@@ -108,10 +107,9 @@ def waves_command(
     setup = Setup(theta_in, theta_out, nm, _coherence(aperture, coherence), kernel, metal)
     chosen = choose_patches(surface, size, pitch, seed, patches, micro=micro)
     workers = min(os.cpu_count() or 1, patches)
-    context = multiprocessing.get_context("spawn")
     with (
         Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress,
-        ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as executor,
+        processes(context.obj, workers) as executor,
     ):
         bar = progress.add_task(f"waves on {chosen.name}", total=None)
 

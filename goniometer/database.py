@@ -24,6 +24,9 @@ _WRITE, _RUN = postgresql.key("write"), postgresql.key("run")
 """Locks of a PostgreSQL database; every run shares the second one, and has one of its bench for itself."""
 _BENCH_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,31}")
 
+CONNECTIONS = 40
+"""To a file, that are kept open once they were needed."""
+
 
 class Database:
     """An open database; `Database.open` makes one."""
@@ -38,6 +41,7 @@ class Database:
         """Of an SQLite database that is not in memory only."""
         self._keeper: int | None = None
         """The process of the server that keeps `exclusive` for this one; None where there is none."""
+        self._watching: sqlite3.Connection | None = None
 
     @classmethod
     def open(cls, where: Path | str, bench: str = tables.BENCH) -> Self:
@@ -79,7 +83,9 @@ class Database:
             url = url.set(database=str(file))
         if file and not file.parent.is_dir():
             raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
-        engine = create_engine(url, hide_parameters=True)
+        # a server asks from as many threads; what is above the size of the pool is opened anew each time
+        size = {"pool_size": CONNECTIONS} if file else {}
+        engine = create_engine(url, hide_parameters=True, **size)
         if file:
             event.listen(engine, "connect", _configure_sqlite)
         return cls(engine, shown, file, bench)
@@ -87,6 +93,25 @@ class Database:
     def close(self) -> None:
         """Let go of the database."""
         self._engine.dispose()
+        if self._watching is not None:
+            self._watching.close()
+            self._watching = None
+
+    def version(self) -> int | None:
+        """A number that is another one after every change, whoever makes it; None where the database tells of none.
+
+        That takes some microseconds and waits for nobody; only one thread may ask.
+        """
+        if self.file is None:
+            return None
+        if self._watching is None:
+            where = f"{self.file.as_uri()}?mode=ro"
+            self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
+        try:
+            # it tells of changes by other connections only, and this one changes nothing
+            return int(self._watching.execute("PRAGMA data_version").fetchone()[0])
+        except sqlite3.OperationalError:  # somebody has locked it
+            return None
 
     @contextmanager
     def exclusive(self, *, everywhere: bool = False) -> Iterator[None]:

@@ -9,9 +9,9 @@ import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from sqlalchemy import Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Select, Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -56,6 +56,14 @@ def _counted_scans() -> Subquery:
     place = func.row_number().over(partition_by=alike, order_by=here.number)
     count = func.count().over(partition_by=alike)
     return select(tables.scans, case((count > 1, place)).label("repeat")).subquery()
+
+
+@cache
+def _listed_scans() -> tuple[Select[Any], Select[Any]]:
+    """All scans, and those of the campaign "campaign", in the order in which they are run."""
+    counted = _counted_scans()
+    every = select(counted).order_by(counted.c.campaign_id, counted.c.number)
+    return every, every.where(counted.c.campaign_id == bindparam("campaign"))
 
 
 class Store(Derived):
@@ -162,11 +170,9 @@ class Store(Derived):
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        counted = _counted_scans()
-        query = select(counted).order_by(counted.c.campaign_id, counted.c.number)
-        if campaign_id is not None:
-            query = query.where(counted.c.campaign_id == campaign_id)
-        return [to_scan(row) for row in self.rows(query)]
+        every, of_one = _listed_scans()
+        rows = self.rows(every) if campaign_id is None else self.rows(of_one, {"campaign": campaign_id})
+        return [to_scan(row) for row in rows]
 
     def reference_scan(self, scan_id: int) -> Scan:
         """The last reference scan of its campaign up to `scan_id`, which serves it; raises `NotInStore`."""

@@ -120,6 +120,7 @@ exposures = Table(
     Column("point_id", ForeignKey("points.id")),
     Column("kind", String, nullable=False),
     Column("integration_time", Float, nullable=False),
+    Column("sha256", String, nullable=False),  # of all that was read, see `goniometer.records.exposure_hash`
     Column("counts", LargeBinary, nullable=False),
     Column("device_count", Integer().with_variant(BigInteger, "postgresql"), nullable=False),  # unsigned, of 32 bits
     Column("detector_temperature", Float, nullable=False),

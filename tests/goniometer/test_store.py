@@ -20,7 +20,7 @@ from goniometer.campaign import Campaign, Homogeneity, Override, Reference, Samp
 from goniometer.certificate import NOMINAL_SRS99
 from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset, Flag
-from goniometer.errors import CampaignError, NotInStore, StoreBusy, StoreError, StoreFull
+from goniometer.errors import CampaignError, NotInStore, RawDamaged, StoreBusy, StoreError, StoreFull
 from goniometer.geometry import Geometry
 from goniometer.raw import read_raw
 from goniometer.store import Store
@@ -566,4 +566,23 @@ def test_somebody_who_reads_does_not_hold_up_a_run(tmp_path):
     reader.execute("COMMIT")
     assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]
     reader.close()
+    store.close()
+
+
+@pytest.mark.parametrize(
+    "change", ["counts = zeroblob(4176)", "integration_time = 0.2", "moment = 1.0", "kind = 'stray'"]
+)
+def test_a_raw_exposure_that_was_changed_from_outside_is_never_taken_for_data(tmp_path, change):
+    store = Store.open(tmp_path / "bench.db")
+    scan_id, _ = first_point(store)
+    store.add_exposures(scan_id, "monitor", [spectrum(1), spectrum(2)], "one", 0.0, Geometry(10.0, -0.0))
+    first, second = store.exposures(scan_id)
+    assert first.geometry == Geometry(10.0, 0.0)
+    with sqlite3.connect(tmp_path / "bench.db") as outside:
+        outside.execute("DROP TRIGGER exposures_no_update")
+        outside.execute(f"UPDATE exposures SET {change} WHERE id = {second.id}")
+    outside.close()
+    with pytest.raises(RawDamaged, match=rf"Exposure {second.id} .* db restore") as caught:
+        read_raw(store, scan_id)
+    assert caught.value.exposure_id == second.id
     store.close()
