@@ -15,6 +15,8 @@ from sqlalchemy import Boolean, create_engine, text
 from sqlalchemy.exc import IntegrityError
 
 from goniometer import migrations, tables
+from goniometer.campaign import Sample
+from goniometer.constants import BenchData
 from goniometer.errors import StoreError, StoreOutdated
 from goniometer.migrations import baseline
 from goniometer.only_added import protect
@@ -80,8 +82,9 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
         name: [column for _, column, *_ in rows(file, f"PRAGMA table_info({name})")]
         for name in before - {"about", "sqlite_sequence"}
     }
+    rewritten = {"arrays"} | ({"json", "constants"} if version < 5 else set())  # they are read below
     queries = {
-        name: f"SELECT {', '.join(c for c in columns if c != 'arrays')} FROM {name} ORDER BY 1"
+        name: f"SELECT {', '.join(c for c in columns if c not in rewritten)} FROM {name} ORDER BY 1"
         for name, columns in kept.items()
     }
     read = {name: rows(file, query) for name, query in queries.items()}
@@ -89,6 +92,10 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
     upgrade(file)
     assert {name: rows(file, query) for name, query in queries.items()} == read
     store = Store.open(file)
+    campaign = store.campaign(1)
+    assert campaign.samples == (Sample(name="A", material="sample-1"),)
+    assert campaign.resolution.minimum_step == (0.5 if version < 5 else 0.2)
+    assert store.constants(2).bench == BenchData(gain=4.5, u_angle=0.006, aperture=1.1)
     dark, light = store.exposures(2)
     assert light.counts.astype("<u4").tobytes() == dark.counts.astype("<u4").tobytes() == COUNTS
     assert light.geometry is not None
