@@ -204,6 +204,7 @@ class Link:
 def _unknown(task: Task) -> BenchState:
     """The state of a bench of which nobody has told anything yet."""
     return BenchState(
+        name=task.bench,
         phase="disconnected",
         doing="The process that drives the bench is being started.",
         possible=(),

@@ -54,21 +54,28 @@ class CampaignRow:
     """SHA-256 of what decides what is measured."""
     created: str
     """ISO 8601, UTC."""
+    bench: str
+    """Name of the bench on which it is measured."""
 
 
 def campaign_rows(database: Database, after: int, limit: int) -> list[CampaignRow]:
     """At most `limit` campaigns with ids above `after`, oldest first."""
     here = tables.campaigns.c
-    query = select(here.id, here.name, here.hash, here.created).where(here.id > after).order_by(here.id).limit(limit)
-    return [CampaignRow(row.id, row.name, row.hash, row.created) for row in database.rows(query)]
+    query = (
+        select(here.id, here.name, here.hash, here.created, here.bench)
+        .where(here.id > after)
+        .order_by(here.id)
+        .limit(limit)
+    )
+    return [CampaignRow(row.id, row.name, row.hash, row.created, row.bench) for row in database.rows(query)]
 
 
 def campaign_row(database: Database, campaign_id: int) -> CampaignRow:
     """One campaign; raises `NotInStore`."""
     here = tables.campaigns.c
-    query = select(here.id, here.name, here.hash, here.created).where(here.id == campaign_id)
+    query = select(here.id, here.name, here.hash, here.created, here.bench).where(here.id == campaign_id)
     row = database.row(query, f"campaign {campaign_id}")
-    return CampaignRow(row.id, row.name, row.hash, row.created)
+    return CampaignRow(row.id, row.name, row.hash, row.created, row.bench)
 
 
 def point_counts(database: Database, scan_ids: Sequence[int]) -> dict[int, Counts]:
