@@ -46,6 +46,8 @@ class Entry:
     campaign_id: int | None
     campaign: str | None
     """Name of the campaign."""
+    bench: str | None
+    """Name of the bench; None where no campaign measured it."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class Catalogue(Database):
 
 def _entries() -> Select[Any]:
     columns = [column for column in tables.datasets.c if column.name in {field.name for field in fields(Entry)}]
-    of_campaign = tables.scans.c.campaign_id, tables.campaigns.c.name.label("campaign")
+    of_campaign = tables.scans.c.campaign_id, tables.campaigns.c.name.label("campaign"), tables.campaigns.c.bench
     joined = tables.datasets.outerjoin(tables.scans).outerjoin(tables.campaigns)
     return select(*columns, *of_campaign).select_from(joined)
 
