@@ -21,7 +21,17 @@ from analysis.errors import AnalysisError
 from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
-from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.arguments import (
+    DATABASE,
+    AsJson,
+    BenchName,
+    DatabaseFile,
+    DatasetName,
+    bench_of,
+    chosen_dataset,
+    emit,
+    existing,
+)
 from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
@@ -114,12 +124,13 @@ def run_command(
     lamp_is_warm: Annotated[
         bool, typer.Option("--lamp-is-warm", help="It has burned long enough; do not wait for it to warm up.")
     ] = False,
+    bench: BenchName = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
-    store = Store.open(database)
+    store = Store.open(database, bench_of(bench, settings))
     with progress_display(screen) as (show, note):
         folder = output / slug(wanted.name)
         watch = Watch(show, note, ask_to_mount)
@@ -130,7 +141,7 @@ def run_command(
         emit(
             {
                 "campaign": wanted.name,
-                "database": str(database),
+                "database": store.where,
                 "samples": [asdict(sample) for sample in samples],
                 "failures": result.failures,
                 "uncertainties": STATED,
@@ -209,10 +220,12 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     store = existing(database)
     scans = store.scans()
     found = [asdict(scan) for scan in scans]
-    running = store.in_use()
+    benches = store.benches()
+    in_use = {bench for bench in set(benches.values()) if store.in_use(bench)}
     for scan, entry in zip(scans, found, strict=True):
         entry["name"] = scan.name
-        entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and not running
+        entry["bench"] = benches[scan.campaign_id]
+        entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and entry["bench"] not in in_use
         points = store.points(entry["id"])
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
@@ -226,7 +239,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     if as_json:
         emit(
             {
-                "database": str(database),
+                "database": store.where,
                 "campaigns": store.campaigns(),
                 "scans": found,
                 "measured_elsewhere": [
@@ -246,7 +259,8 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         count = f"{entry['points_done']} points"
         if scan.remaining is not None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
-        line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
+        where = f" on {entry['bench']}" if len(set(benches.values())) > 1 else ""
+        line = f"{names[entry['campaign_id']]}{where}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
     for made, those in of_kind.items():
         what = "measured elsewhere" if made == "measured" else made
@@ -254,10 +268,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
 
 
-def _command(verb: Command) -> Callable[[Path, bool], None]:
-    def command(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
+def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
+    def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
         store = existing(database)
-        scan = active_scan(store)
+        scan = active_scan(store, bench)
         store.request(scan.id, verb)
         if as_json:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})

@@ -41,6 +41,8 @@ class Task:
     """Where the service answers."""
     mounts_by_itself: bool
     """Whether samples are laid on the simulated bench without asking anybody."""
+    bench: str
+    """Name of the bench."""
     cluster: str | None = None
     """Address of the Dask scheduler that does heavy work; None for this machine."""
     since: str = ""

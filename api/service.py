@@ -31,6 +31,7 @@ from goniometer.errors import (
     BenchUnfit,
     CalibrationError,
     CertificateError,
+    InputError,
     NotInStore,
     StoreFull,
 )
@@ -384,10 +385,20 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
     )
 
 
-def active_scan(store: Store) -> Scan:
-    """The scan that is being run; raises `NotInStore` where nothing runs."""
-    if store.in_use():
-        for scan in store.scans():
-            if scan.phase in ACTIVE_PHASES:
-                return scan
-    raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
+def active_scan(store: Store, bench: str | None = None) -> Scan:
+    """The scan that is being run, on this bench if one is named.
+
+    Raises `NotInStore` where nothing runs, and `InputError` where several do and no bench is named.
+    """
+    benches = store.benches()
+    in_use = {each for each in set(benches.values()) if bench in {None, each} and store.in_use(each)}
+    active = {
+        benches[scan.campaign_id]: scan
+        for scan in store.scans()
+        if scan.phase in ACTIVE_PHASES and benches[scan.campaign_id] in in_use
+    }
+    if not active:
+        raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
+    if len(active) > 1:
+        raise InputError(f"Something is running on the benches {', '.join(sorted(active))}; name one with --bench")
+    return next(iter(active.values()))

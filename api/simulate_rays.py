@@ -21,6 +21,7 @@ from api.ray_results import computed, decomposition, lines, warnings
 from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
 from drivers.arrays import FloatArray
+from goniometer.database import shown_place
 from goniometer.errors import InputError
 from simulators.heights import roughness
 from simulators.ray_decomposition import CONVERGED, Change, coarser, convergence
@@ -110,7 +111,7 @@ def rays_command(
             {
                 "dataset": dataset,
                 "sample": f"{name} (rays)",
-                "database": str(database),
+                "database": shown_place(database),
                 "surface": first.origin,
                 "patches": len(made),
                 "roughness": asdict(rough),
@@ -124,7 +125,7 @@ def rays_command(
     out = Console()
     for line in lines(scan, changes):
         out.print(line, markup=False, highlight=False)
-    out.print(f"{name} (rays): dataset {dataset} in {database}", markup=False, highlight=False)
+    out.print(f"{name} (rays): dataset {dataset} in {shown_place(database)}", markup=False, highlight=False)
     if written is not None:
         out.print(f"Wrote {written}", markup=False, highlight=False)
 

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from api.simulations import Micro, Page, Seed, SurfaceName, series, store_comput
 from api.terminal import screen
 from api.wave_page import page_body
 from drivers.arrays import FloatArray
+from goniometer.database import shown_place
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
 from simulators.computed import computed_dataset
@@ -156,12 +156,12 @@ def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
     return seen_through(wanted)
 
 
-def _content(dataset_id: int, database: Path, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
+def _content(dataset_id: int, database: str, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
     """The result as JSON."""
     return {
         "dataset": dataset_id,
         "sample": found.computed.sample,
-        "database": str(database),
+        "database": shown_place(database),
         "lineage": found.computed.lineage,
         "aperture_deg": equivalent_aperture(setup.coherence.s_um),
         "sampling": asdict(found.sampling) | {"sufficient": found.sampling.sufficient},
