@@ -98,6 +98,17 @@ def datasets_of(database: Database, scan_ids: Sequence[int]) -> dict[int, list[i
     return found
 
 
+def detector_temperatures(database: Database, scan_ids: Sequence[int]) -> dict[int, tuple[float, float, float]]:
+    """Mean, lowest and highest detector temperature of all exposures of these scans, degrees Celsius, by their ids."""
+    here = tables.exposures.c
+    value = here.detector_temperature
+    told = select(
+        here.scan_id, func.avg(value).label("mean"), func.min(value).label("low"), func.max(value).label("high")
+    )
+    query = told.where(here.scan_id.in_(scan_ids)).group_by(here.scan_id)
+    return {row.scan_id: (float(row.mean), float(row.low), float(row.high)) for row in database.rows(query)}
+
+
 def points_after(database: Database, scan_id: int, after: int, limit: int) -> list[Point]:
     """At most `limit` points of a scan with numbers above `after`, in the order in which the plan asked for them."""
     return [to_point(row) for row in database.rows(_POINTS, {"scan": scan_id, "after": after, "limit": limit})]

@@ -18,6 +18,7 @@ from api.certificates import (
 )
 from api.job_arguments import RecalibrateArguments, RecalibrationAsked
 from api.views.calibration import Reference, reference_view
+from api.views.history import History, history
 from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
@@ -99,6 +100,16 @@ def references(live: Here, caller: Viewer, after: After = None) -> Page[Referenc
     scans = [scan for scan in reversed(live.store.scans()) if scan.kind == "reference" and scan.started is not None]
     rows = [scan for scan in sorted(scans, key=lambda scan: -scan.id) if before is None or scan.id < before]
     return page(rows[: _PAGE + 1], _PAGE, lambda scan: reference_view(live.store, scan), lambda scan: scan.id)
+
+
+@router.get("/history")
+def bench_history(
+    live: Here,
+    caller: Viewer,
+    limit: Annotated[int, Query(ge=1, le=200, description="Most scans of the answer, the newest ones.")] = 60,
+) -> History:
+    """How the bench has changed from scan to scan: response to the panel, lamp, detector, wavelength scale."""
+    return history(live.store, limit)
 
 
 @router.get("/characterisations")
