@@ -3,10 +3,10 @@
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, emit
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.database import shown_place
 from goniometer.upgrade import upgrade as upgrade_database
 
@@ -37,6 +37,6 @@ def upgrade(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     lines = [f"{shown_place(database)} is of this version already."] if not done.steps else done.steps
     if done.backup is not None:
         lines = [f"Backed up as {done.backup}.", *lines]
-    out = Console()
+    out = Terminal()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
