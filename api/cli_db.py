@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from api import audit
 from api.arguments import DATABASE, AsJson, emit
 from api.logged import Logged, account
+from api.terminal import Terminal
 from goniometer.backup import back_up, restore
 from goniometer.database import Database, shown_place
 from goniometer.errors import StoreOutdated
@@ -114,6 +114,6 @@ def _tell(found: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     if as_json:
         emit(found)
         return
-    out = Console()
+    out = Terminal()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
