@@ -47,6 +47,8 @@ class Entry:
     campaign_id: int | None
     campaign: str | None
     """Name of the campaign."""
+    bench: str | None
+    """Name of the bench; None where no campaign measured it."""
     operator: str | None
     """Who put the campaign into the queue of a service; None where no service measured it."""
 
@@ -146,6 +148,7 @@ def _entries() -> Select[Any]:
     of_campaign = (
         tables.scans.c.campaign_id,
         tables.campaigns.c.name.label("campaign"),
+        tables.campaigns.c.bench,
         _operator().label("operator"),
     )
     joined = tables.datasets.outerjoin(tables.scans).outerjoin(tables.campaigns)

@@ -5,6 +5,7 @@ These rows are only ever added, each as one committed transaction that is on the
 
 import json
 from dataclasses import asdict, dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from goniometer.dataset import Dataset
 from goniometer.records import Characterisation, StoredText, now, pack_dataset, to_dataset
 
 
+@cache  # it is looked for in files
 def software_version() -> str:
     """Version of this program, as written beside everything derived."""
     return version("goniometer")
@@ -161,6 +163,7 @@ class Derived(Catalogue):
             return insert_row(
                 connection,
                 tables.characterisations,
+                bench=self.bench,
                 kind=kind,
                 json=text,
                 software_version=software_version(),
@@ -173,4 +176,4 @@ class Derived(Catalogue):
         query = select(table).order_by(table.c.id)
         if kind is not None:
             query = query.where(table.c.kind == kind)
-        return [Characterisation(row.id, row.kind, row.json, row.created) for row in self.rows(query)]
+        return [Characterisation(row.id, row.kind, row.json, row.created, row.bench) for row in self.rows(query)]

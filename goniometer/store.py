@@ -9,9 +9,9 @@ import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from sqlalchemy import Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Select, Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import tables
@@ -58,6 +58,14 @@ def _counted_scans() -> Subquery:
     return select(tables.scans, case((count > 1, place)).label("repeat")).subquery()
 
 
+@cache
+def _listed_scans() -> tuple[Select[Any], Select[Any]]:
+    """All scans, and those of the campaign "campaign", in the order in which they are run."""
+    counted = _counted_scans()
+    every = select(counted).order_by(counted.c.campaign_id, counted.c.number)
+    return every, every.where(counted.c.campaign_id == bindparam("campaign"))
+
+
 class Store(Derived):
     """An open database; `Store.open` makes one."""
 
@@ -69,14 +77,19 @@ class Store(Derived):
         `certificate` is the text of the panel's where the campaign names no file. A campaign of this name that has no
         point yet gives way to a changed one; of one that has, only who overrides its certificate may change. Each
         sample is followed by a spot scan where homogeneity is asked for. Raises `CampaignError` when a campaign that
-        has begun was started with other content or another certificate, `CertificateError` when the certificate
-        cannot be read.
+        has begun was started with other content or another certificate, or is one of another bench, `CertificateError`
+        when the certificate cannot be read.
         """
         path = campaign.reference.certificate
         certificate = certificate if path is None else read_certificate(Path(path))
-        with self.writing() as connection:
+        with self.alone() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
+                if known.bench != self.bench:
+                    raise CampaignError(
+                        f'The campaign "{campaign.name}" in {self.where} belongs to the bench {known.bench}; run it '
+                        f"there, or give this one another name"
+                    )
                 mine = tables.scans.c.campaign_id == known.id
                 if known.hash == campaign.hash and known.certificate == certificate:
                     # a certificate may have expired since, and somebody answers for it
@@ -95,7 +108,7 @@ class Store(Derived):
                 if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
                     changed = changed_content(Campaign.model_validate_json(known.json), campaign)
                     raise CampaignError(
-                        f'The campaign "{campaign.name}" in {self._where} was started with {changed}; '
+                        f'The campaign "{campaign.name}" in {self.where} was started with {changed}; '
                         f"undo the change to resume it, or give the changed campaign another name"
                     )
                 connection.execute(delete(tables.scans).where(mine))
@@ -108,6 +121,7 @@ class Store(Derived):
                 hash=campaign.hash,
                 certificate=certificate,
                 created=now(),
+                bench=self.bench,
             )
             kinds = ("sample",) if campaign.homogeneity is None else ("sample", "spot")
             things: list[tuple[str, str, str]] = []
@@ -144,6 +158,11 @@ class Store(Derived):
         """Name of every campaign by its id, oldest first."""
         return {row.id: row.name for row in self.rows(select(tables.campaigns).order_by(tables.campaigns.c.id))}
 
+    def benches(self) -> dict[int, str]:
+        """Name of the bench of every campaign by its id, oldest first."""
+        here = tables.campaigns.c
+        return {row.id: row.bench for row in self.rows(select(here.id, here.bench).order_by(here.id))}
+
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
         counted = _counted_scans()
@@ -151,11 +170,9 @@ class Store(Derived):
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        counted = _counted_scans()
-        query = select(counted).order_by(counted.c.campaign_id, counted.c.number)
-        if campaign_id is not None:
-            query = query.where(counted.c.campaign_id == campaign_id)
-        return [to_scan(row) for row in self.rows(query)]
+        every, of_one = _listed_scans()
+        rows = self.rows(every) if campaign_id is None else self.rows(of_one, {"campaign": campaign_id})
+        return [to_scan(row) for row in rows]
 
     def reference_scan(self, scan_id: int) -> Scan:
         """The last reference scan of its campaign up to `scan_id`, which serves it; raises `NotInStore`."""
@@ -191,9 +208,10 @@ class Store(Derived):
             )
 
     def end_stale_scans(self) -> None:
-        """Note that scans whose process was killed have ended; only for who holds `exclusive`."""
+        """Note that scans of this bench whose process was killed have ended; only for who holds `exclusive`."""
+        benches = self.benches()
         for scan in self.scans():
-            if scan.phase not in {"idle", "finished"}:
+            if benches[scan.campaign_id] == self.bench and scan.phase not in {"idle", "finished"}:
                 self.finish_scan(scan.id, "aborted", _STALE)
 
     def request(self, scan_id: int, command: Command) -> None:
@@ -201,7 +219,7 @@ class Store(Derived):
 
         Nothing takes back an abort. Raises `NotInStore` where the scan is not being run, or is being aborted.
         """
-        if not self.in_use():
+        if not self.in_use(self.benches()[self.scan(scan_id).campaign_id]):
             raise NotInStore(
                 f"Scan {scan_id} cannot {command}, because no process runs it; run its campaign to go on where it stood"
             )
@@ -261,7 +279,7 @@ class Store(Derived):
         """What calibration needs to know about the devices of a scan; raises `NotInStore`."""
         text = self._constants_json(scan_id)
         if text is None:
-            raise NotInStore(f"Scan {scan_id} has not begun, so {self._where} holds nothing about its devices")
+            raise NotInStore(f"Scan {scan_id} has not begun, so {self.where} holds nothing about its devices")
         return to_constants(text)
 
     def _constants_json(self, scan_id: int) -> str | None:
@@ -347,7 +365,7 @@ class Store(Derived):
                 )
             )
             if done.rowcount == 0:
-                raise StoreError(f"Point {point.id} in {self._where} is not being measured; let one process run it")
+                raise StoreError(f"Point {point.id} in {self.where} is not being measured; let one process run it")
 
     def give_up_point(self, point_id: int, status: Literal["failed", "skipped"], reason: str) -> None:
         """Note that a point will not be measured, and why."""

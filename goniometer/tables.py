@@ -2,13 +2,14 @@
 
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
-characterisations of the bench stand alone. What the service needs besides stands in `goniometer.service_tables`.
-Exposures and everything derived are only ever added: in SQLite, triggers refuse to change or delete them. Times are
-ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those of two sessions
-cannot be compared.
+characterisations of a bench stand alone. A campaign is measured on one bench, whose name it has. What the service needs
+besides stands in `goniometer.service_tables`. Exposures and everything derived are only ever added: triggers refuse to
+change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench
+that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
+    BigInteger,
     CheckConstraint,
     Column,
     Connection,
@@ -26,13 +27,19 @@ from sqlalchemy import (
     insert,
     inspect,
     select,
-    text,
 )
 
-from goniometer.errors import StoreError
+from goniometer import migrations
+from goniometer.errors import StoreError, StoreOutdated
+from goniometer.only_added import protect
+from goniometer.postgresql import key, lock_transaction
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 7
+OLD_VERSION = 8
+"""What `about` tells programs from before `goniometer.migrations`, which refuse it; it never changes again."""
+
+BENCH = "bench"
+"""The name of a bench that was given no other."""
 
 metadata = MetaData()
 
@@ -55,6 +62,7 @@ campaigns = Table(
     Column("hash", String, nullable=False),
     Column("certificate", Text),
     Column("created", String, nullable=False),
+    Column("bench", String, nullable=False, server_default=BENCH),
 )
 
 scans = Table(
@@ -112,8 +120,9 @@ exposures = Table(
     Column("point_id", ForeignKey("points.id")),
     Column("kind", String, nullable=False),
     Column("integration_time", Float, nullable=False),
+    Column("sha256", String, nullable=False),  # of all that was read, see `goniometer.records.exposure_hash`
     Column("counts", LargeBinary, nullable=False),
-    Column("device_count", Integer, nullable=False),
+    Column("device_count", Integer().with_variant(BigInteger, "postgresql"), nullable=False),  # unsigned, of 32 bits
     Column("detector_temperature", Float, nullable=False),
     Column("theta_in", Float),
     Column("theta_out", Float),
@@ -184,6 +193,7 @@ characterisations = Table(
     "characterisations",
     metadata,
     Column("id", Integer, primary_key=True),
+    Column("bench", String, nullable=False, server_default=BENCH),
     Column("kind", String, nullable=False),
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
@@ -196,14 +206,18 @@ def prepare(engine: Engine, where: str) -> None:
     """Create the tables in an empty database, or check that they are ours; `where` names it in messages.
 
     All tables come into being in one transaction, which another process that has the same wish waits for. Raises
-    `StoreError` for another program's database or another version of this one's tables.
+    `StoreOutdated` for one that an older version of this program made, `StoreError` for one of a newer or of another.
     """
     with engine.connect() as connection:
         names = inspect(connection).get_table_names()
     if not names:
         # Python's driver opens no transaction before CREATE TABLE, so each table would stay on its own.
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            connection.exec_driver_sql("BEGIN IMMEDIATE" if engine.dialect.name == "sqlite" else "BEGIN")
+            if engine.dialect.name == "sqlite":
+                connection.exec_driver_sql("BEGIN IMMEDIATE")
+            else:
+                connection.exec_driver_sql("BEGIN")
+                lock_transaction(connection, key("tables"), shared=False)
             if not inspect(connection).get_table_names():  # another process may have been faster
                 _create(connection)
             connection.exec_driver_sql("COMMIT")  # without it, closing the connection rolls back
@@ -212,25 +226,35 @@ def prepare(engine: Engine, where: str) -> None:
 
 
 def _check(connection: Connection, where: str) -> None:
+    check_ours(connection, where)
+    revision = migrations.revision_of(connection)
+    if revision == migrations.head():
+        return
+    if revision is None or revision in migrations.known():
+        raise StoreOutdated(
+            f"{where} was written by an older version of {APPLICATION}; run: goniometer db upgrade {where}"
+        )
+    raise StoreError(
+        f"{where} was written by a newer version of {APPLICATION}, which calls its tables {revision} where this one "
+        f"needs {migrations.head()}; install that version, or name a new file"
+    )
+
+
+def check_ours(connection: Connection, where: str) -> None:
+    """Raise `StoreError` where a database is not of this program, of whichever version."""
     row = connection.execute(select(about)).first() if inspect(connection).has_table(about.name) else None
     if row is None or row.application != APPLICATION:
         raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
-    if row.schema_version != SCHEMA_VERSION:
-        raise StoreError(
-            f"{where} has tables of version {row.schema_version}, but this program needs version "
-            f"{SCHEMA_VERSION}; use the program that wrote it, or name a new file"
-        )
 
 
 def _create(connection: Connection) -> None:
     metadata.create_all(connection)
-    connection.execute(insert(about).values(application=APPLICATION, schema_version=SCHEMA_VERSION))
-    if connection.dialect.name == "sqlite":
-        for table in (each for each in metadata.sorted_tables if each.info == ONLY_ADDED):
-            for verb in ("UPDATE", "DELETE"):
-                connection.execute(
-                    text(
-                        f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
-                        f"BEGIN SELECT RAISE(ABORT, '{table.name} are only ever added'); END"
-                    )
-                )
+    connection.execute(insert(about).values(application=APPLICATION, schema_version=OLD_VERSION))
+    for table in protected():
+        protect(connection, table.name)
+    migrations.stamp(connection)
+
+
+def protected() -> list[Table]:
+    """The tables whose rows are only ever added."""
+    return [table for table in metadata.sorted_tables if table.info == ONLY_ADDED]

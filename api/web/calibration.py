@@ -64,6 +64,7 @@ class CharacterisationView(BaseModel):
     id: int
     kind: str = Field(examples=["signature"])
     created: str = Field(description="ISO 8601, UTC.")
+    bench: str = Field(description="Name of the bench.")
     content: dict[str, Any] = Field(description="As `goniometer characterise --json` prints it.")
 
 
@@ -115,7 +116,9 @@ def bench_history(
 def characterisations(live: Here, caller: Viewer) -> list[CharacterisationView]:
     """What was measured of the bench itself, newest first."""
     return [
-        CharacterisationView(id=each.id, kind=each.kind, created=each.created, content=json.loads(each.json))
+        CharacterisationView(
+            id=each.id, kind=each.kind, created=each.created, bench=each.bench, content=json.loads(each.json)
+        )
         for each in reversed(live.store.characterisations())
     ]
 
