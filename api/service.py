@@ -24,6 +24,7 @@ from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
+from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
@@ -38,14 +39,11 @@ from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset, own_datasets
 from goniometer.plan import plan_spec, uniform_grid_size
-from goniometer.records import Scan
+from goniometer.records import ACTIVE_PHASES, Scan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
-
-ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
-"""Phases of a scan that some process is running, or was when it was killed."""
 
 SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
 
@@ -391,7 +389,6 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
 def active_scan(store: Store) -> Scan:
     """The scan that is being run; raises `NotInStore` where nothing runs."""
     if store.in_use():
-        for scan in store.scans():
-            if scan.phase in ACTIVE_PHASES:
-                return scan
+        for scan in look_up.scans_in_phases(store, ACTIVE_PHASES):
+            return scan
     raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")

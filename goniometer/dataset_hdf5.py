@@ -56,7 +56,7 @@ def raw_of(store: Store, dataset_id: int) -> Raw:
 
     Raises `InputError` for a dataset that was made of no raw data in this database.
     """
-    if store.datasets()[dataset_id] is None:
+    if store.scan_of(dataset_id) is None:
         raise InputError(f"Dataset {dataset_id} was made of no raw data in this database; export it without --raw.")
     lineage = store.lineage(dataset_id)
     between = lineage["scans_between"]

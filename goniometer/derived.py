@@ -5,6 +5,7 @@ These rows are only ever added, each as one committed transaction that is on the
 
 import json
 from dataclasses import asdict, dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from goniometer.dataset import Dataset
 from goniometer.records import Characterisation, StoredText, now, pack_dataset, to_dataset
 
 
+@cache  # the metadata of a package is a long text, and every answer about a dataset names the version
 def software_version() -> str:
     """Version of this program, as written beside everything derived."""
     return version("goniometer")

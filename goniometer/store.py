@@ -6,15 +6,14 @@ written together or not at all.
 """
 
 import json
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
-from goniometer import tables
+from goniometer import look_up, tables
 from goniometer.campaign import Campaign, changed_content
 from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
@@ -23,6 +22,8 @@ from goniometer.derived import Derived
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry, from_stages
 from goniometer.records import (
+    ACTIVE_PHASES,
+    EXPOSURE_KINDS,
     Command,
     Expected,
     Exposure,
@@ -46,16 +47,6 @@ _REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 _COMMAND = select(tables.scans.c.command).where(tables.scans.c.id == bindparam("scan"))
 """Built once, for a scan that runs asks many times a second."""
-
-
-@cache  # to build it takes longer than to ask it
-def _counted_scans() -> Subquery:
-    """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
-    here = tables.scans.c
-    alike = (here.campaign_id, here.kind, here.sample)
-    place = func.row_number().over(partition_by=alike, order_by=here.number)
-    count = func.count().over(partition_by=alike)
-    return select(tables.scans, case((count > 1, place)).label("repeat")).subquery()
 
 
 class Store(Derived):
@@ -146,15 +137,14 @@ class Store(Derived):
 
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
-        counted = _counted_scans()
-        return to_scan(self.row(select(counted).where(counted.c.id == scan_id), f"scan {scan_id}"))
+        return to_scan(self.row(look_up.scan_rows().where(tables.scans.c.id == scan_id), f"scan {scan_id}"))
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        counted = _counted_scans()
-        query = select(counted).order_by(counted.c.campaign_id, counted.c.number)
+        here = tables.scans.c
+        query = look_up.scan_rows().order_by(here.campaign_id, here.number)
         if campaign_id is not None:
-            query = query.where(counted.c.campaign_id == campaign_id)
+            query = query.where(here.campaign_id == campaign_id)
         return [to_scan(row) for row in self.rows(query)]
 
     def reference_scan(self, scan_id: int) -> Scan:
@@ -192,9 +182,8 @@ class Store(Derived):
 
     def end_stale_scans(self) -> None:
         """Note that scans whose process was killed have ended; only for who holds `exclusive`."""
-        for scan in self.scans():
-            if scan.phase not in {"idle", "finished"}:
-                self.finish_scan(scan.id, "aborted", _STALE)
+        for scan in look_up.scans_in_phases(self, ACTIVE_PHASES):
+            self.finish_scan(scan.id, "aborted", _STALE)
 
     def request(self, scan_id: int, command: Command) -> None:
         """Ask the process that runs a scan to pause (after the point in hand), to resume, or to abort (at once).
@@ -405,9 +394,10 @@ class Store(Derived):
                 ],
             )
 
-    def exposures(self, scan_id: int) -> list[Exposure]:
-        """All raw exposures of a scan, darks included, in the order in which they were written."""
-        query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
+    def exposures(self, scan_id: int, kinds: Collection[ExposureKind] = EXPOSURE_KINDS) -> list[Exposure]:
+        """All raw exposures of a scan that are of these kinds, in the order in which they were written."""
+        here = tables.exposures.c
+        query = select(tables.exposures).where(here.scan_id == scan_id, here.kind.in_(kinds)).order_by(here.id)
         return [to_exposure(row) for row in self.rows(query)]
 
     def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:

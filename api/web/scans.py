@@ -88,9 +88,7 @@ def scans(
     after: After = None,
 ) -> Page[ScanView]:
     """Scans in the order in which they are run, campaign by campaign."""
-    start = after_number(after)
-    rows = [scan for scan in live.store.scans(campaign) if scan.id > start]
-    rows = sorted(rows, key=lambda scan: scan.id)[: limit + 1]
+    rows = look_up.scans_after(live.store, after_number(after), limit + 1, campaign)
     views = {view.id: view for view in scan_views(live, rows)}
     return page(rows, limit, lambda scan: views[scan.id], lambda scan: scan.id)
 
