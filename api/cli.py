@@ -23,6 +23,7 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_da
 from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
+from api.cli_db import register as add_db
 from api.cli_export import register as add_export
 from api.cli_export import tell_export
 from api.cli_import import register as add_import
@@ -290,6 +291,7 @@ def fit(
 add_access(app)
 add_characterisations(app)
 add_choose(app)
+add_db(app)
 add_export(app)
 add_import(app)
 add_photos(app)

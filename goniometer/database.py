@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,15 +23,38 @@ class Database:
 
     def __init__(self, engine: Engine, where: str, file: Path | None) -> None:
         self._engine = engine
-        self._where = where
-        self._file = file
+        self.where = where
+        """What messages call it; no password is in it."""
+        self.file = file
+        """Of an SQLite database that is not in memory only."""
 
     @classmethod
     def open(cls, where: Path | str) -> Self:
         """Open the SQLite file or SQLAlchemy URL `where`, creating the tables when there are none.
 
-        Raises `StoreError` where it cannot be opened or is not ours, `StoreFull` where there is no room.
+        Raises `StoreError` where it cannot be opened or is not ours, `StoreOutdated` where an older version of this
+        program made it, `StoreFull` where there is no room.
         """
+        database = cls._reach(where)
+        with database.faults():
+            tables.prepare(database._engine, database.where)
+        return database
+
+    @classmethod
+    def as_it_is(cls, where: Path | str) -> Self:
+        """Open a database that is there, whichever version of this program made it; nothing in it is changed.
+
+        Raises `StoreError` where it cannot be opened or is not ours.
+        """
+        database = cls._reach(where)
+        if database.file is not None and not database.file.exists():
+            raise NotInStore(f"There is no database {database.where}; name one that is there")
+        with database.reading() as connection:
+            tables.check_ours(connection, database.where)
+        return database
+
+    @classmethod
+    def _reach(cls, where: Path | str) -> Self:
         url = _url(where)
         file = None
         shown = url.render_as_string(hide_password=True)
@@ -43,10 +67,7 @@ class Database:
         engine = create_engine(url)
         if file:
             event.listen(engine, "connect", _configure_sqlite)
-        database = cls(engine, shown, file)
-        with database._faults():
-            tables.prepare(engine, shown)
-        return database
+        return cls(engine, shown, file)
 
     def close(self) -> None:
         """Let go of the database."""
@@ -58,15 +79,15 @@ class Database:
 
         Raises `StoreBusy` when another process holds it.
         """
-        if self._file is None:
-            raise StoreError(f"{self._where} cannot be locked; only an SQLite file can be run on so far")
-        lock = FileLock(self._file.with_name(self._file.name + ".lock"))
-        with self._faults():
+        if self.file is None:
+            raise StoreError(f"{self.where} cannot be locked; only an SQLite file can be run on so far")
+        lock = FileLock(self.file.with_name(self.file.name + ".lock"))
+        with self.faults():
             try:
                 lock.acquire(timeout=0)
             except Timeout:
                 raise StoreBusy(
-                    f"{self._where} is in use by another run, or by a service; wait for its end, abort it, "
+                    f"{self.where} is in use by another run, or by a service; wait for its end, abort it, "
                     f"queue the campaign there, or name another file"
                 ) from None
         try:
@@ -83,48 +104,57 @@ class Database:
             return True
 
     @contextmanager
-    def _faults(self) -> Iterator[None]:
+    def faults(self) -> Iterator[None]:
         """Turn what the database or the disk refuses into this floor's errors."""
         try:
             yield
         except IntegrityError as error:
-            raise StoreError(f"{self._where} refuses contradictory data: {error.orig}") from error
-        except DBAPIError as error:
-            message = str(error.orig)
+            raise StoreError(f"{self.where} refuses contradictory data: {error.orig}") from error
+        except (DBAPIError, sqlite3.Error) as error:
+            message = str(error.orig if isinstance(error, DBAPIError) else error)
             if "full" in message:
-                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
+                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
             if "not a database" in message:
-                raise StoreError(f"{self._where} is not a database; name a new file or one of this program") from error
-            raise StoreError(f"{self._where} cannot be used: {message}") from error
+                raise StoreError(f"{self.where} is not a database; name a new file or one of this program") from error
+            raise StoreError(f"{self.where} cannot be used: {message}") from error
         except OSError as error:
             if error.errno == errno.ENOSPC:
-                raise StoreFull(f"{self._where} cannot grow: there is no room left; make room and resume") from error
-            raise StoreError(f"{self._where} cannot be used: {error.strerror or error}") from error
+                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
+            raise StoreError(f"{self.where} cannot be used: {error.strerror or error}") from error
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """A transaction that is on the disk when the block ends, or has not happened."""
-        with self._faults(), self._engine.begin() as connection:
+        with self.faults(), self._engine.begin() as connection:
             yield connection
 
     @contextmanager
-    def alone(self) -> Iterator[Connection]:
-        """Like `writing`, and nobody else writes between what is read in the block and its end; others wait."""
+    def alone(self, *, references_checked: bool = True) -> Iterator[Connection]:
+        """Like `writing`, and nobody else writes between what is read in the block and its end; others wait.
+
+        Without `references_checked`, SQLite lets rows refer to what is not there: who writes tables anew checks it.
+        """
         # Python's driver would begin with the first change, after what was read; so it is told to keep out of it.
-        with self._faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        with self.faults(), self._engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
             sqlite = connection.dialect.name == "sqlite"
+            if sqlite and not references_checked:
+                connection.exec_driver_sql("PRAGMA foreign_keys=OFF")
             connection.exec_driver_sql("BEGIN IMMEDIATE" if sqlite else "BEGIN ISOLATION LEVEL SERIALIZABLE")
             try:
                 yield connection
             except BaseException:
                 connection.exec_driver_sql("ROLLBACK")
                 raise
-            connection.exec_driver_sql("COMMIT")
+            else:
+                connection.exec_driver_sql("COMMIT")
+            finally:
+                if sqlite:
+                    connection.exec_driver_sql("PRAGMA foreign_keys=ON")
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """A connection to read from."""
-        with self._faults(), self._engine.connect() as connection:
+        with self.faults(), self._engine.connect() as connection:
             yield connection
 
     def rows(self, query: Select[Any], values: Mapping[str, object] | None = None) -> Sequence[Row[Any]]:
@@ -136,7 +166,7 @@ class Database:
         """The first that a query finds; raises `NotInStore`, in which `what` was looked for."""
         rows = self.rows(query)
         if not rows:
-            raise NotInStore(f"There is no {what} in {self._where}; list what there is with the status command")
+            raise NotInStore(f"There is no {what} in {self.where}; list what there is with the status command")
         return rows[0]
 
     def _update(self, table: Table, row_id: int, **values: object) -> None:

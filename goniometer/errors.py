@@ -10,6 +10,7 @@ GoniometerError
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
+│   ├── StoreOutdated     its tables are those of an older version of this program
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ConditionsUnmet       what must hold before a scan did not in time
 ├── ReferenceIncomplete   points of the reference scan that failed
@@ -67,6 +68,10 @@ class StoreBusy(StoreError):
 
 class StoreFull(StoreError):
     """There is no room left on the disk."""
+
+
+class StoreOutdated(StoreError):
+    """The tables are those of an older version of this program; they can be upgraded."""
 
 
 class NotInStore(StoreError):

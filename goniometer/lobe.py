@@ -138,6 +138,44 @@ def _cosine_brdf(parameters: FloatArray, theta_in: FloatArray, theta_out: FloatA
     return np.asarray(D * _per_height(theta_in, theta_out, alpha2) + diffuse * cos_in)
 
 
+def _slopes(parameters: FloatArray, theta_in: FloatArray, theta_out: FloatArray) -> FloatArray:
+    """[points, parameters] derivatives of `_cosine_brdf`."""
+    log_height, log_alpha, gamma, log_floor, tilt, log_retro, log_retro_width = parameters[:_MAIN]
+    alpha2 = np.exp(2 * log_alpha)
+    cos_in, cos_out = np.cos(np.radians(theta_in)), np.cos(np.radians(theta_out))
+    half = (theta_out - theta_in) / 2 - tilt
+    tangent = np.tan(np.radians(half))
+    q = tangent**2 / alpha2
+    D = np.exp(log_height) * (1 + q) ** -gamma * (1 + tangent**2) ** 2
+    by_tilt = np.radians(D * (2 * gamma * tangent * (1 + tangent**2) / (alpha2 * (1 + q)) - 4 * tangent))
+    total, of_bumps = D, []
+    for height, centre, log_width, log_exponent in parameters[_MAIN:].reshape(-1, 4):
+        width, exponent = np.exp(log_width), np.exp(log_exponent)
+        power = 2 ** (1 / exponent)
+        away = ((half - centre) / width) ** 2
+        tail = 1 + (power - 1) * away
+        bump = np.exp(height) * tail**-exponent
+        by_away = -exponent * (power - 1) * bump / tail
+        by_centre = -2 * (half - centre) / width**2 * by_away
+        by_exponent = bump * (power * np.log(2) * away / tail - exponent * np.log(tail))
+        of_bumps += [bump, by_centre, -2 * away * by_away, by_exponent]
+        by_tilt = by_tilt + by_centre
+        total = total + bump
+    per_height = _per_height(theta_in, theta_out, alpha2)
+    masked = np.zeros_like(total)
+    for cosine in (cos_in, cos_out):
+        beyond = alpha2 * (1 / cosine**2 - 1)
+        root = np.sqrt(1 + beyond)
+        masked = masked - beyond / (root * (1 + root))
+    away = ((theta_out + theta_in) / 2 / np.exp(log_retro_width)) ** 2
+    tail = 1 + (2**0.25 - 1) * away
+    retro = np.exp(log_retro) * tail**-4.0 * cos_in
+    main = [D, 2 * gamma * D * q / (1 + q) + total * masked, -D * np.log1p(q)]
+    columns = [per_height * each for each in main]
+    columns += [np.exp(log_floor) * cos_in, per_height * by_tilt, retro, 8 * retro * (1 - 1 / tail)]
+    return np.stack([*columns, *(per_height * each for each in of_bumps)], axis=1)
+
+
 def _per_height(theta_in: FloatArray, theta_out: FloatArray, alpha2: float) -> FloatArray:
     """cos(theta_in) f for D = 1."""
     cos_in, cos_out = np.cos(np.radians(theta_in)), np.cos(np.radians(theta_out))
@@ -169,10 +207,17 @@ def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, no
                 model = _cosine_brdf(np.concatenate([kept, free]), theta_in, theta_out)
                 return np.asarray((np.log(offset + model) - latent) / scale)
 
+            def slopes(free: FloatArray, kept: FloatArray = start[:fixed]) -> FloatArray:
+                every = np.concatenate([kept, free])
+                level = (offset + _cosine_brdf(every, theta_in, theta_out)) * scale
+                return np.asarray(_slopes(every, theta_in, theta_out)[:, fixed:] / level[:, None])
+
             if fixed:
                 low[-3], high[-3] = start[-3] - _NEAR, start[-3] + _NEAR
             limits = low[fixed:], high[fixed:]
-            found = scipy.optimize.least_squares(residuals, start[fixed:], bounds=limits, loss="soft_l1", max_nfev=25)
+            found = scipy.optimize.least_squares(
+                residuals, start[fixed:], slopes, bounds=limits, loss="soft_l1", max_nfev=25
+            )
             if found.cost < lowest:
                 best, lowest = np.concatenate([start[:fixed], found.x]), float(found.cost)
         return best, lowest

@@ -122,7 +122,8 @@ def next_points(
 
 def reached(spec: PlanSpec, measured: Sequence[Measured], swept: Sequence[Swept] = ()) -> Reached:
     """How accurate the sampling is by now, and why it ended if it did: `next_points` is empty exactly then."""
-    return _next(spec, list(measured), swept, ())[1]
+    _, stopped, known = _next(spec, list(measured), swept, ())
+    return replace(_reached(measured, known or _known(spec, measured)), stopped=stopped)
 
 
 def first_points(spec: PlanSpec) -> list[Geometry]:
@@ -196,29 +197,31 @@ class _Known:
 
 def _next(
     spec: PlanSpec, measured: list[Measured], swept: Sequence[Swept], pending: Sequence[Geometry]
-) -> tuple[list[Geometry], Reached]:
-    """The next batch, and how far the sampling is."""
+) -> tuple[list[Geometry], Stop | None, _Known | None]:
+    """The next batch, why there is none, and what is known of the sample, if that had to be asked."""
     here = pending[-1] if pending else measured[-1].geometry if measured else None
     room, exhausted = _room(spec, measured, pending)
-    known = _known(spec, measured)
-    batch, stop = _batch(spec, known, measured, swept, pending)
+    missing = _missing(spec, measured, pending)
+    known = None if missing or spec.mode == "uniform" else _known(spec, measured)
+    if known is None:
+        # Where nearly all points failed there is nothing to learn from, and the coarse pass is all there is.
+        batch = missing
+        stop: Stop | None = None if missing or pending else "grid" if spec.mode == "uniform" else "step"
+    else:
+        batch, stop = _batch(spec, known, measured, swept, pending)
     if batch and room <= 0:
         batch, stop = [], exhausted
-    return ordered(batch, spec.motion, here)[: max(room, 0)], replace(_reached(measured, known), stopped=stop)
+    return ordered(batch, spec.motion, here)[: max(room, 0)], stop, known
 
 
 def _batch(
     spec: PlanSpec,
-    known: _Known | None,
+    known: _Known,
     measured: list[Measured],
     swept: Sequence[Swept],
     pending: Sequence[Geometry],
 ) -> tuple[list[Geometry], Stop | None]:
-    """The next directions in any order, without regard to budgets; where there are none, why."""
-    missing = _missing(spec, measured, pending)
-    if missing or known is None or spec.mode == "uniform":
-        # Where nearly all points failed there is nothing to learn from, and the coarse pass is all there is.
-        return missing, None if missing or pending else "grid" if spec.mode == "uniform" else "step"
+    """The next directions after the coarse pass in any order, without regard to budgets; where there are none, why."""
     hidden = _hidden(spec, known, measured, swept, pending)
     accurate = not hidden and bool(np.all(known.totals <= known.goals))
     if accurate and _confirmed(spec, measured):
@@ -313,7 +316,7 @@ def _known(spec: PlanSpec, measured: Sequence[Measured]) -> _Known | None:
     return _Known(process, where, predicted, errors, goals, total(where, errors, errors.sigma))
 
 
-def _reached(measured: list[Measured], known: _Known | None) -> Reached:
+def _reached(measured: Sequence[Measured], known: _Known | None) -> Reached:
     seconds = sum(p.seconds for p in measured)
     if known is None:
         return Reached(len(measured), seconds, math.nan, math.nan, math.nan, math.nan, None)

@@ -86,7 +86,7 @@ class Store(Derived):
                 if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
                     changed = changed_content(Campaign.model_validate_json(known.json), campaign)
                     raise CampaignError(
-                        f'The campaign "{campaign.name}" in {self._where} was started with {changed}; '
+                        f'The campaign "{campaign.name}" in {self.where} was started with {changed}; '
                         f"undo the change to resume it, or give the changed campaign another name"
                     )
                 connection.execute(delete(tables.scans).where(mine))
@@ -250,7 +250,7 @@ class Store(Derived):
         """What calibration needs to know about the devices of a scan; raises `NotInStore`."""
         text = self._constants_json(scan_id)
         if text is None:
-            raise NotInStore(f"Scan {scan_id} has not begun, so {self._where} holds nothing about its devices")
+            raise NotInStore(f"Scan {scan_id} has not begun, so {self.where} holds nothing about its devices")
         return to_constants(text)
 
     def _constants_json(self, scan_id: int) -> str | None:
@@ -336,7 +336,7 @@ class Store(Derived):
                 )
             )
             if done.rowcount == 0:
-                raise StoreError(f"Point {point.id} in {self._where} is not being measured; let one process run it")
+                raise StoreError(f"Point {point.id} in {self.where} is not being measured; let one process run it")
 
     def give_up_point(self, point_id: int, status: Literal["failed", "skipped"], reason: str) -> None:
         """Note that a point will not be measured, and why."""

@@ -27,13 +27,15 @@ from sqlalchemy import (
     insert,
     inspect,
     select,
-    text,
 )
 
-from goniometer.errors import StoreError
+from goniometer import migrations
+from goniometer.errors import StoreError, StoreOutdated
+from goniometer.only_added import protect
 
 APPLICATION = "goniometer"
-SCHEMA_VERSION = 7
+OLD_VERSION = 8
+"""What `about` tells programs from before `goniometer.migrations`, which refuse it; it never changes again."""
 
 metadata = MetaData()
 
@@ -207,7 +209,7 @@ def prepare(engine: Engine, where: str) -> None:
     """Create the tables in an empty database, or check that they are ours; `where` names it in messages.
 
     All tables come into being in one transaction, which another process that has the same wish waits for. Raises
-    `StoreError` for another program's database or another version of this one's tables.
+    `StoreOutdated` for one that an older version of this program made, `StoreError` for one of a newer or of another.
     """
     with engine.connect() as connection:
         names = inspect(connection).get_table_names()
@@ -223,25 +225,35 @@ def prepare(engine: Engine, where: str) -> None:
 
 
 def _check(connection: Connection, where: str) -> None:
+    check_ours(connection, where)
+    revision = migrations.revision_of(connection)
+    if revision == migrations.head():
+        return
+    if revision is None or revision in migrations.known():
+        raise StoreOutdated(
+            f"{where} was written by an older version of {APPLICATION}; run: goniometer db upgrade {where}"
+        )
+    raise StoreError(
+        f"{where} was written by a newer version of {APPLICATION}, which calls its tables {revision} where this one "
+        f"needs {migrations.head()}; install that version, or name a new file"
+    )
+
+
+def check_ours(connection: Connection, where: str) -> None:
+    """Raise `StoreError` where a database is not of this program, of whichever version."""
     row = connection.execute(select(about)).first() if inspect(connection).has_table(about.name) else None
     if row is None or row.application != APPLICATION:
         raise StoreError(f"{where} is the database of another program; name a new file or one of {APPLICATION}")
-    if row.schema_version != SCHEMA_VERSION:
-        raise StoreError(
-            f"{where} has tables of version {row.schema_version}, but this program needs version "
-            f"{SCHEMA_VERSION}; use the program that wrote it, or name a new file"
-        )
 
 
 def _create(connection: Connection) -> None:
     metadata.create_all(connection)
-    connection.execute(insert(about).values(application=APPLICATION, schema_version=SCHEMA_VERSION))
-    if connection.dialect.name == "sqlite":
-        for table in (each for each in metadata.sorted_tables if each.info == ONLY_ADDED):
-            for verb in ("UPDATE", "DELETE"):
-                connection.execute(
-                    text(
-                        f"CREATE TRIGGER {table.name}_no_{verb.lower()} BEFORE {verb} ON {table.name} "
-                        f"BEGIN SELECT RAISE(ABORT, '{table.name} are only ever added'); END"
-                    )
-                )
+    connection.execute(insert(about).values(application=APPLICATION, schema_version=OLD_VERSION))
+    for table in protected():
+        protect(connection, table.name)
+    migrations.stamp(connection)
+
+
+def protected() -> list[Table]:
+    """The tables whose rows are only ever added."""
+    return [table for table in metadata.sorted_tables if table.info == ONLY_ADDED]

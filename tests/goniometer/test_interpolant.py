@@ -28,7 +28,7 @@ from goniometer.kernel import (
     matern,
     variance,
 )
-from goniometer.lobe import Bump, Lobe, fit_lobe
+from goniometer.lobe import Bump, Lobe, _cosine_brdf, _slopes, fit_lobe
 from goniometer.uncertainty import ErrorSource
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])
@@ -161,6 +161,16 @@ def test_the_gradient_of_the_likelihood_is_its_derivative():
     x = _free(SCALES)
     _, gradient = _negative_log_likelihood(at, residual, noise, doubt, _scales(x))
     assert gradient == pytest.approx(approx_fprime(x, cost, 1e-6), rel=1e-3, abs=1e-3)
+
+
+def test_the_slopes_of_the_lobes_are_their_derivatives():
+    theta_in, theta_out = directions(40)
+    parameters = np.array([1.0, -1.5, 2.3, -4.0, 0.7, -3.0, 1.5, 0.5, 20.0, 1.0, 1.2, -1.0, -30.0, 2.0, 0.8])
+    steps = 1e-6 * np.maximum(1, np.abs(parameters)) * np.eye(parameters.size)
+    up, down = ([_cosine_brdf(parameters + s * step, theta_in, theta_out) for step in steps] for s in (1, -1))
+    differences = np.transpose((np.array(up) - down) / (2 * np.diag(steps)[:, None]))
+    wrong = np.abs(_slopes(parameters, theta_in, theta_out) - differences)
+    assert np.all(wrong < 1e-7 * np.abs(differences).max(axis=0))
 
 
 @pytest.mark.parametrize("alpha", [0.02, 0.1, 0.35])

@@ -1,0 +1,264 @@
+CREATE TABLE about (
+    application VARCHAR NOT NULL,
+    schema_version INTEGER NOT NULL,
+    PRIMARY KEY (application)
+);
+CREATE TABLE campaigns (
+    id INTEGER NOT NULL,
+    name VARCHAR NOT NULL,
+    json TEXT NOT NULL,
+    hash VARCHAR NOT NULL,
+    certificate TEXT,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (id),
+    UNIQUE (name)
+);
+CREATE TABLE certificates (
+    sha256 VARCHAR NOT NULL,
+    name VARCHAR NOT NULL,
+    text TEXT NOT NULL,
+    who VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (sha256)
+);
+CREATE TABLE characterisations (
+    id INTEGER NOT NULL,
+    kind VARCHAR NOT NULL,
+    json TEXT NOT NULL,
+    software_version VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (id)
+);
+CREATE TABLE datasets (
+    id INTEGER NOT NULL,
+    scan_id INTEGER,
+    sample VARCHAR NOT NULL,
+    kind VARCHAR NOT NULL,
+    points INTEGER NOT NULL,
+    incident_angles INTEGER NOT NULL,
+    shortest FLOAT NOT NULL,
+    longest FLOAT NOT NULL,
+    flags INTEGER NOT NULL,
+    flagged INTEGER NOT NULL,
+    checks_failed INTEGER NOT NULL,
+    recalibrated_from INTEGER,
+    content_hash VARCHAR NOT NULL,
+    software_version VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    certificate TEXT,
+    checks TEXT NOT NULL,
+    lineage TEXT NOT NULL,
+    arrays BLOB NOT NULL,
+    PRIMARY KEY (id),
+    CHECK (kind IN ('measured', 'simulated', 'imported')),
+    FOREIGN KEY(scan_id) REFERENCES scans (id)
+);
+CREATE TABLE exports (
+    id INTEGER NOT NULL,
+    dataset_id INTEGER NOT NULL,
+    path VARCHAR NOT NULL,
+    format VARCHAR NOT NULL,
+    sha256 VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (id),
+    FOREIGN KEY(dataset_id) REFERENCES datasets (id)
+);
+CREATE TABLE exposures (
+    id INTEGER NOT NULL,
+    scan_id INTEGER NOT NULL,
+    point_id INTEGER,
+    kind VARCHAR NOT NULL,
+    integration_time FLOAT NOT NULL,
+    counts BLOB NOT NULL,
+    device_count INTEGER NOT NULL,
+    detector_temperature FLOAT NOT NULL,
+    theta_in FLOAT,
+    theta_out FLOAT,
+    theta_out_end FLOAT,
+    session VARCHAR NOT NULL,
+    moment FLOAT NOT NULL,
+    taken VARCHAR NOT NULL,
+    PRIMARY KEY (id),
+    CHECK (kind IN ('light', 'dark', 'stray', 'monitor', 'sweep')),
+    CHECK ((kind = 'light') = (point_id IS NOT NULL)),
+    CHECK ((kind = 'dark') = (theta_in IS NULL) AND (theta_in IS NULL) = (theta_out IS NULL)),
+    CHECK ((kind = 'sweep') = (theta_out_end IS NOT NULL)),
+    FOREIGN KEY(scan_id) REFERENCES scans (id),
+    FOREIGN KEY(point_id) REFERENCES points (id)
+);
+CREATE TABLE fits (
+    id INTEGER NOT NULL,
+    dataset_id INTEGER NOT NULL,
+    model VARCHAR NOT NULL,
+    json TEXT NOT NULL,
+    software_version VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (id),
+    FOREIGN KEY(dataset_id) REFERENCES datasets (id)
+);
+CREATE TABLE jobs (
+    id INTEGER NOT NULL PRIMARY KEY AUTOINCREMENT,
+    kind VARCHAR NOT NULL,
+    who VARCHAR NOT NULL,
+    state VARCHAR NOT NULL,
+    share FLOAT,
+    words TEXT NOT NULL,
+    reason TEXT NOT NULL,
+    runner VARCHAR NOT NULL,
+    beat FLOAT NOT NULL,
+    created VARCHAR NOT NULL,
+    started VARCHAR,
+    finished VARCHAR,
+    arguments TEXT NOT NULL,
+    result TEXT,
+    page TEXT,
+    CHECK (state IN ('waiting', 'running', 'done', 'failed', 'cancelled', 'interrupted'))
+);
+CREATE TABLE lease (
+    id INTEGER NOT NULL,
+    term INTEGER NOT NULL,
+    beat INTEGER NOT NULL,
+    holder VARCHAR,
+    host VARCHAR NOT NULL,
+    process INTEGER NOT NULL,
+    url VARCHAR NOT NULL,
+    taken VARCHAR NOT NULL,
+    stop BOOLEAN NOT NULL,
+    PRIMARY KEY (id),
+    CHECK (id = 1)
+);
+CREATE TABLE log (
+    sequence INTEGER NOT NULL PRIMARY KEY AUTOINCREMENT,
+    time VARCHAR NOT NULL,
+    who VARCHAR NOT NULL,
+    via VARCHAR NOT NULL,
+    action VARCHAR NOT NULL,
+    about TEXT NOT NULL,
+    previous VARCHAR NOT NULL,
+    hash VARCHAR NOT NULL,
+    CHECK (via IN ('session', 'token', 'cli', 'service', 'nobody')),
+    UNIQUE (hash)
+);
+CREATE TABLE logins (
+    name VARCHAR NOT NULL,
+    address VARCHAR NOT NULL,
+    failures INTEGER NOT NULL,
+    failed FLOAT NOT NULL,
+    succeeded FLOAT NOT NULL,
+    PRIMARY KEY (name, address)
+);
+CREATE TABLE points (
+    id INTEGER NOT NULL,
+    scan_id INTEGER NOT NULL,
+    number INTEGER NOT NULL,
+    theta_in FLOAT NOT NULL,
+    theta_out FLOAT NOT NULL,
+    read_theta_in FLOAT,
+    read_theta_out FLOAT,
+    status VARCHAR NOT NULL,
+    attempts INTEGER NOT NULL,
+    reason TEXT NOT NULL,
+    seconds FLOAT NOT NULL,
+    signal_to_noise FLOAT,
+    finished VARCHAR,
+    PRIMARY KEY (id),
+    CHECK (status IN ('pending', 'running', 'done', 'failed', 'skipped')),
+    UNIQUE (scan_id, number),
+    FOREIGN KEY(scan_id) REFERENCES scans (id)
+);
+CREATE TABLE queue (
+    id INTEGER NOT NULL PRIMARY KEY AUTOINCREMENT,
+    position INTEGER NOT NULL,
+    name VARCHAR NOT NULL,
+    json TEXT NOT NULL,
+    campaign_id INTEGER,
+    phase VARCHAR NOT NULL,
+    outcome VARCHAR,
+    reason TEXT NOT NULL,
+    who VARCHAR NOT NULL,
+    start_after VARCHAR,
+    created VARCHAR NOT NULL,
+    ordered VARCHAR,
+    started VARCHAR,
+    finished VARCHAR,
+    CHECK (phase IN ('idle', 'queued', 'running', 'finished')),
+    CHECK (outcome IN ('completed', 'aborted', 'failed')),
+    CHECK ((phase = 'finished') = (outcome IS NOT NULL)),
+    FOREIGN KEY(campaign_id) REFERENCES campaigns (id) ON DELETE SET NULL
+);
+CREATE TABLE scans (
+    id INTEGER NOT NULL,
+    campaign_id INTEGER NOT NULL,
+    number INTEGER NOT NULL,
+    kind VARCHAR NOT NULL,
+    sample VARCHAR NOT NULL,
+    material VARCHAR NOT NULL,
+    phase VARCHAR NOT NULL,
+    outcome VARCHAR,
+    reason TEXT NOT NULL,
+    command VARCHAR,
+    constants TEXT,
+    started VARCHAR,
+    finished VARCHAR,
+    expected_points INTEGER,
+    remaining FLOAT,
+    remaining_low FLOAT,
+    remaining_high FLOAT,
+    PRIMARY KEY (id),
+    CHECK (kind IN ('reference', 'sample', 'spot')),
+    CHECK (phase IN ('idle', 'running', 'pausing', 'paused', 'aborting', 'finished')),
+    CHECK (outcome IN ('completed', 'aborted', 'failed')),
+    CHECK (command IN ('pause', 'resume', 'abort')),
+    UNIQUE (campaign_id, number),
+    FOREIGN KEY(campaign_id) REFERENCES campaigns (id)
+);
+CREATE TABLE sessions (
+    hash VARCHAR NOT NULL,
+    user VARCHAR NOT NULL,
+    token_id INTEGER,
+    created VARCHAR NOT NULL,
+    used VARCHAR NOT NULL,
+    PRIMARY KEY (hash),
+    FOREIGN KEY(user) REFERENCES users (name) ON DELETE CASCADE,
+    FOREIGN KEY(token_id) REFERENCES tokens (id) ON DELETE CASCADE
+);
+CREATE TABLE tokens (
+    id INTEGER NOT NULL PRIMARY KEY AUTOINCREMENT,
+    user VARCHAR NOT NULL,
+    label VARCHAR NOT NULL,
+    role VARCHAR NOT NULL,
+    hash VARCHAR NOT NULL,
+    created VARCHAR NOT NULL,
+    expires VARCHAR,
+    used VARCHAR,
+    CHECK (role IN ('viewer', 'operator', 'metrologist', 'admin')),
+    FOREIGN KEY(user) REFERENCES users (name) ON DELETE CASCADE,
+    UNIQUE (hash)
+);
+CREATE TABLE users (
+    name VARCHAR NOT NULL,
+    role VARCHAR NOT NULL,
+    password VARCHAR,
+    disabled BOOLEAN NOT NULL,
+    created VARCHAR NOT NULL,
+    PRIMARY KEY (name),
+    CHECK (role IN ('viewer', 'operator', 'metrologist', 'admin'))
+);
+CREATE INDEX exposures_of_scan ON exposures (scan_id);
+CREATE INDEX jobs_by_state ON jobs (state);
+CREATE INDEX logins_of_address ON logins (address);
+CREATE INDEX queue_of_phase ON queue (phase);
+CREATE TRIGGER certificates_no_delete BEFORE DELETE ON certificates BEGIN SELECT RAISE(ABORT, 'certificates are only ever added'); END;
+CREATE TRIGGER certificates_no_update BEFORE UPDATE ON certificates BEGIN SELECT RAISE(ABORT, 'certificates are only ever added'); END;
+CREATE TRIGGER characterisations_no_delete BEFORE DELETE ON characterisations BEGIN SELECT RAISE(ABORT, 'characterisations are only ever added'); END;
+CREATE TRIGGER characterisations_no_update BEFORE UPDATE ON characterisations BEGIN SELECT RAISE(ABORT, 'characterisations are only ever added'); END;
+CREATE TRIGGER datasets_no_delete BEFORE DELETE ON datasets BEGIN SELECT RAISE(ABORT, 'datasets are only ever added'); END;
+CREATE TRIGGER datasets_no_update BEFORE UPDATE ON datasets BEGIN SELECT RAISE(ABORT, 'datasets are only ever added'); END;
+CREATE TRIGGER exports_no_delete BEFORE DELETE ON exports BEGIN SELECT RAISE(ABORT, 'exports are only ever added'); END;
+CREATE TRIGGER exports_no_update BEFORE UPDATE ON exports BEGIN SELECT RAISE(ABORT, 'exports are only ever added'); END;
+CREATE TRIGGER exposures_no_delete BEFORE DELETE ON exposures BEGIN SELECT RAISE(ABORT, 'exposures are only ever added'); END;
+CREATE TRIGGER exposures_no_update BEFORE UPDATE ON exposures BEGIN SELECT RAISE(ABORT, 'exposures are only ever added'); END;
+CREATE TRIGGER fits_no_delete BEFORE DELETE ON fits BEGIN SELECT RAISE(ABORT, 'fits are only ever added'); END;
+CREATE TRIGGER fits_no_update BEFORE UPDATE ON fits BEGIN SELECT RAISE(ABORT, 'fits are only ever added'); END;
+CREATE TRIGGER log_no_delete BEFORE DELETE ON log BEGIN SELECT RAISE(ABORT, 'log are only ever added'); END;
+CREATE TRIGGER log_no_update BEFORE UPDATE ON log BEGIN SELECT RAISE(ABORT, 'log are only ever added'); END;

@@ -1,0 +1,145 @@
+"""A database of any older version is used on with all that was in it."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import create_engine
+
+from goniometer import migrations, tables
+from goniometer.errors import StoreError, StoreOutdated
+from goniometer.store import Store
+from goniometer.upgrade import upgrade
+from tests.goniometer.old_databases import COUNTS, DATASET, SCHEMAS, build, version_of
+
+
+@pytest.fixture(params=SCHEMAS, ids=lambda schema: schema.stem)
+def old(request: Any, tmp_path: Path) -> tuple[Path, int]:
+    """A database of an old version, and its number."""
+    file = tmp_path / "old.db"
+    build(request.param, file)
+    return file, version_of(request.param)
+
+
+def rows(file: Path, query: str) -> list[tuple[Any, ...]]:
+    """What a query finds, read by SQLite alone."""
+    with closing(sqlite3.connect(file)) as connection:
+        return connection.execute(query).fetchall()
+
+
+def shape(file: Path) -> set[tuple[str, str, tuple[str, ...]]]:
+    """Every table, index and trigger with the lines that made it; their order and quotes around names do not count."""
+    return {
+        (kind, name, tuple(sorted(line.replace('"', "").strip(" ,\t") for line in sql.splitlines())))
+        for kind, name, sql in rows(file, "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL")
+    }
+
+
+def test_every_old_version_has_its_database_here() -> None:
+    assert {version_of(schema) for schema in SCHEMAS} == set(range(1, 8))
+
+
+def test_an_upgraded_database_has_the_tables_constraints_and_triggers_of_a_new_one(
+    old: tuple[Path, int], tmp_path: Path
+) -> None:
+    upgrade(old[0])
+    engine = create_engine(f"sqlite:///{old[0]}")
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "compare_server_default": True})
+        assert compare_metadata(context, tables.metadata) == []
+    engine.dispose()
+    Store.open(tmp_path / "new.db").close()
+    assert shape(old[0]) ^ shape(tmp_path / "new.db") == set()
+    assert rows(old[0], "PRAGMA integrity_check") == [("ok",)]
+    assert rows(old[0], "PRAGMA foreign_key_check") == []
+    assert rows(old[0], "SELECT * FROM alembic_version") == [(migrations.head(),)]
+
+
+def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> None:
+    file, version = old
+    before = {name for (name,) in rows(file, "SELECT name FROM sqlite_master WHERE type = 'table'")}
+    kept = {
+        name: [column for _, column, *_ in rows(file, f"PRAGMA table_info({name})")]
+        for name in before - {"about", "sqlite_sequence"}
+    }
+    queries = {
+        name: f"SELECT {', '.join(c for c in columns if c != 'arrays')} FROM {name} ORDER BY 1"
+        for name, columns in kept.items()
+    }
+    read = {name: rows(file, query) for name, query in queries.items()}
+    assert all(read.values())
+    upgrade(file)
+    assert {name: rows(file, query) for name, query in queries.items()} == read
+    store = Store.open(file)
+    dark, light = store.exposures(2)
+    assert light.counts.astype("<u4").tobytes() == dark.counts.astype("<u4").tobytes() == COUNTS
+    assert light.geometry is not None
+    assert (light.geometry.theta_in, light.geometry.theta_out) == (10.01, 20.02)
+    assert (light.session, light.moment) == {
+        True: ("unknown", 1767323045.0),  # TAKEN in seconds since 1970
+        False: ("unknown" if version == 3 else "s1", 12.5),
+    }[version < 3]
+    dataset = store.dataset(4)
+    np.testing.assert_array_equal(dataset.brdf, [[0.1, 0.2], [np.nan, 0.4]])
+    np.testing.assert_array_equal(dataset.flags, [0, 1])
+    # the sources' squares add up: 1 % of random error, and 2 % of every other that the version told apart
+    others = {1: 1, 2: 3}.get(version, 0)
+    np.testing.assert_allclose(dataset.u[0], dataset.brdf[0] * np.sqrt(1 + 4 * others) / 100)
+    (entry,) = [store.entry(4)]
+    assert (entry.points, entry.incident_angles, entry.flagged, entry.shortest, entry.longest) == (2, 1, 1, 400, 700)
+    assert entry.content_hash == DATASET["content_hash"]
+    assert entry.checks_failed == (0 if version < 3 else 1)
+    store.close()
+
+
+def test_an_old_database_is_backed_up_and_refused_until_it_is_upgraded(old: tuple[Path, int]) -> None:
+    file, version = old
+    with pytest.raises(StoreOutdated, match="goniometer db upgrade"):
+        Store.open(file)
+    assert rows(file, "SELECT schema_version FROM about") == [(version,)]
+    done = upgrade(file)
+    assert done.backup is not None
+    assert rows(done.backup, "SELECT schema_version FROM about") == [(version,)]
+    assert rows(done.backup, "SELECT counts FROM exposures") == [(COUNTS,), (COUNTS,)]
+    assert upgrade(file).steps == []
+
+
+def test_an_upgrade_that_fails_changes_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "old.db"
+    build(SCHEMAS[0], file)
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("UPDATE points SET read_theta_in = NULL")  # the exposure's direction is nowhere
+    Store.as_it_is(file).close()  # it is in the journal mode that the program uses
+    before = shape(file), rows(file, "SELECT * FROM exposures")
+    with pytest.raises(StoreError, match="CHECK constraint"):
+        upgrade(file)
+    assert (shape(file), rows(file, "SELECT * FROM exposures")) == before
+
+
+def test_a_database_of_a_newer_program_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "new.db"
+    Store.open(file).close()
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    for use in (Store.open, upgrade):
+        with pytest.raises(StoreError, match="newer version"):
+            use(file)
+
+
+def test_the_newest_file_is_the_only_head_that_alembic_finds() -> None:
+    scripts = ScriptDirectory(str(migrations.FOLDER))
+    assert scripts.get_heads() == [migrations.head()]
+    assert [script.revision for script in scripts.walk_revisions()][::-1] == list(migrations.known())
+
+
+def test_what_earlier_programs_are_told_makes_them_refuse(tmp_path: Path) -> None:
+    file = tmp_path / "new.db"
+    Store.open(file).close()
+    ((version,),) = rows(file, "SELECT schema_version FROM about")
+    assert version not in {version_of(schema) for schema in SCHEMAS}
