@@ -23,7 +23,6 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
-    func,
     insert,
     inspect,
     select,
@@ -85,10 +84,7 @@ scans = Table(
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("command IN ('pause', 'resume', 'abort')"),
     UniqueConstraint("campaign_id", "number"),
-    Index("scans_by_kind", "kind", "sample"),
-    Index("scans_by_phase", "phase"),
 )
-Index("scans_called", func.lower(scans.c.sample))
 
 points = Table(
     "points",
@@ -159,13 +155,8 @@ datasets = Table(
     # last, for SQLite reads a row from its front, and a list of datasets needs none of their numbers
     Column("arrays", LargeBinary, nullable=False),
     CheckConstraint("kind IN ('measured', 'simulated', 'imported')"),
-    Index("datasets_of_scan", "scan_id", "sample"),
-    Index("datasets_by_kind", "kind"),
-    Index("datasets_by_time", "created"),
-    Index("datasets_made_anew", "recalibrated_from"),
     info=ONLY_ADDED,
 )
-Index("datasets_called", func.lower(datasets.c.sample))
 
 fits = Table(
     "fits",
@@ -176,7 +167,6 @@ fits = Table(
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
-    Index("fits_of_dataset", "dataset_id"),
     info=ONLY_ADDED,
 )
 
@@ -189,7 +179,6 @@ exports = Table(
     Column("format", String, nullable=False),
     Column("sha256", String, nullable=False),
     Column("created", String, nullable=False),
-    Index("exports_of_dataset", "dataset_id"),
     info=ONLY_ADDED,
 )
 

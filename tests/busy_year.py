@@ -305,6 +305,6 @@ def octets(file: Path) -> dict[str, int]:
     """Octets of every table and index of an SQLite file, by its name."""
     engine = create_engine(f"sqlite:///{file}")
     with engine.connect() as connection:
-        rows = connection.exec_driver_sql("SELECT name, pgsize FROM dbstat WHERE aggregate = TRUE").all()
+        rows = connection.exec_driver_sql("SELECT name, sum(pgsize) FROM dbstat GROUP BY name").all()
     engine.dispose()
     return {str(name): int(size) for name, size in rows}

@@ -69,7 +69,7 @@ class _Lot:
         return spectra_of(self.full_campaign() - 1) + self.any(spectra_of(1))
 
     def sample(self) -> str:
-        return f"Sheet {self.any(NAMES):04d}"
+        return f"Sheet {1 + (SAMPLES - 1 + self.any(self.campaigns * SAMPLES)) % NAMES:04d}"
 
     def month(self) -> tuple[str, str]:
         month = self.any(11)
