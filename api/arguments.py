@@ -8,14 +8,24 @@ import typer
 
 from analysis.fit_json import strict_json
 from api.datasets import dataset_names, find_datasets
+from api.settings import InstrumentSettings
 from api.terminal import screen
 from goniometer.errors import InputError
 from goniometer.store import Store
+from goniometer.tables import BENCH
 
 DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
-DatabaseFile = Annotated[Path, typer.Option("--database", "-d", help="SQLite database of the measurements.")]
+DatabaseFile = Annotated[
+    str,
+    typer.Option(
+        "--database", "-d", metavar="FILE|URL", help="SQLite file of the measurements, or postgresql://user@host/name."
+    ),
+]
+BenchName = Annotated[
+    str | None, typer.Option("--bench", help="Name of the bench, where several use one database.", show_default=False)
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-DATABASE = Path("goniometer.db")
+DATABASE = "goniometer.db"
 
 
 def chosen_dataset(store: Store, name: str) -> int:
@@ -35,8 +45,13 @@ def emit(content: dict[str, Any]) -> None:
     sys.stdout.write(strict_json(content))
 
 
-def existing(database: Path) -> Store:
+def bench_of(named: str | None, settings: InstrumentSettings | None) -> str:
+    """The bench that is meant: the one that is `named`, else that of the instrument file."""
+    return named or (BENCH if settings is None else settings.bench)
+
+
+def existing(database: str) -> Store:
     """The database, which must be there: a command that only reads makes no empty one."""
-    if "://" not in str(database) and not database.exists():
+    if "://" not in database and not Path(database).exists():
         raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
     return Store.open(database)

@@ -5,8 +5,10 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 
 import asyncio
 import logging
+import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -19,7 +21,17 @@ from analysis.errors import AnalysisError
 from analysis.fits import MODELS
 from analysis.least_squares import Engine
 from analysis.loew import Weight
-from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.arguments import (
+    DATABASE,
+    AsJson,
+    BenchName,
+    DatabaseFile,
+    DatasetName,
+    bench_of,
+    chosen_dataset,
+    emit,
+    existing,
+)
 from api.cli_access import register as add_access
 from api.cli_characterise import register as add_characterisations
 from api.cli_choose import register as add_choose
@@ -38,10 +50,11 @@ from api.datasets import too_noisy
 from api.demo import demo as run_demo
 from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
+from api.executor import processes
 from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
-from api.products import HowToFit, fit_dataset, fit_lines, report_dataset
+from api.products import HowToFit, fit_datasets, fit_lines, report_dataset
 from api.service import Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
@@ -56,7 +69,6 @@ from goniometer.records import ACTIVE_PHASES, Command
 from goniometer.store import Store
 
 app = typer.Typer(
-    help="Drives a spectral gonioreflectometer, calibrates what it measures, fits the BRDF and exports it.",
     pretty_exceptions_enable=False,
     add_completion=False,
 )
@@ -67,15 +79,28 @@ UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name
 OUTPUT = Path("results")
 
 
+@app.callback()
+def common(
+    context: typer.Context,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://HOST:PORT, that does heavy work."),
+    ] = None,
+) -> None:
+    """Drives a spectral gonioreflectometer, calibrates what it measures, fits the BRDF and exports it."""
+    context.obj = cluster
+
+
 @app.command()
 def demo(
+    context: typer.Context,
     output: OutputFolder = Path("demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated bench's noise.")] = 1,
     as_json: AsJson = False,
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
     with progress_display(screen) as (show, note):
-        result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount)))
+        result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount), context.obj))
     if as_json:
         emit(asdict(result) | {"uncertainties": STATED})
         _fail_for(result.failures)
@@ -89,6 +114,7 @@ def demo(
 
 @app.command(name="run", cls=Logged)
 def run_command(
+    context: typer.Context,
     campaign: CampaignFile,
     database: DatabaseFile = DATABASE,
     output: OutputFolder = OUTPUT,
@@ -98,22 +124,24 @@ def run_command(
     lamp_is_warm: Annotated[
         bool, typer.Option("--lamp-is-warm", help="It has burned long enough; do not wait for it to warm up.")
     ] = False,
+    bench: BenchName = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
-    store = Store.open(database)
+    store = Store.open(database, bench_of(bench, settings))
     with progress_display(screen) as (show, note):
         folder = output / slug(wanted.name)
         watch = Watch(show, note, ask_to_mount)
-        result = wait(run(store, wanted, folder, settings, watch, lamp_is_warm=lamp_is_warm))
+        running = run(store, wanted, folder, settings, watch, lamp_is_warm=lamp_is_warm, cluster=context.obj)
+        result = wait(running)
     samples = outcomes(store, result.campaign_id, truth=settings is None)
     if as_json:
         emit(
             {
                 "campaign": wanted.name,
-                "database": str(database),
+                "database": store.where,
                 "samples": [asdict(sample) for sample in samples],
                 "failures": result.failures,
                 "uncertainties": STATED,
@@ -192,10 +220,12 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     store = existing(database)
     scans = store.scans()
     found = [asdict(scan) for scan in scans]
-    running = store.in_use()
+    benches = store.benches()
+    in_use = {bench for bench in set(benches.values()) if store.in_use(bench)}
     for scan, entry in zip(scans, found, strict=True):
         entry["name"] = scan.name
-        entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and not running
+        entry["bench"] = benches[scan.campaign_id]
+        entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and entry["bench"] not in in_use
         points = store.points(entry["id"])
         entry["points_done"] = sum(point.status == "done" for point in points)
         entry["too_noisy"] = too_noisy(store, scan)
@@ -209,7 +239,7 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     if as_json:
         emit(
             {
-                "database": str(database),
+                "database": store.where,
                 "campaigns": store.campaigns(),
                 "scans": found,
                 "measured_elsewhere": [
@@ -229,7 +259,8 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         count = f"{entry['points_done']} points"
         if scan.remaining is not None:
             count = f"{entry['points_done']} of about {scan.expected_points} points, {span(scan.remaining)} to go"
-        line = f"{names[entry['campaign_id']]}: {what}: {state}, {count}{datasets}"
+        where = f" on {entry['bench']}" if len(set(benches.values())) > 1 else ""
+        line = f"{names[entry['campaign_id']]}{where}: {what}: {state}, {count}{datasets}"
         out.print(f"{line}. {entry['reason']}" if entry["reason"] else line, markup=False, highlight=False)
     for made, those in of_kind.items():
         what = "measured elsewhere" if made == "measured" else made
@@ -237,10 +268,10 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
             out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
 
 
-def _command(verb: Command) -> Callable[[Path, bool], None]:
-    def command(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
+def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
+    def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
         store = existing(database)
-        scan = active_scan(store)
+        scan = active_scan(store, bench)
         store.request(scan.id, verb)
         if as_json:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})
@@ -259,7 +290,8 @@ for _verb in ("pause", "resume", "abort"):
 
 @app.command(cls=Logged)
 def fit(
-    dataset: DatasetName,
+    context: typer.Context,
+    dataset: Annotated[list[str], typer.Argument(help="Numbers of datasets, or names of samples.", show_default=False)],
     model: Annotated[
         str | None, typer.Option(help=f"Only this model: {', '.join(MODELS)}.", show_default=False)
     ] = None,
@@ -276,16 +308,20 @@ def fit(
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
-    """Fit a dataset again and store the fits beside the earlier ones."""
+    """Fit datasets again and store the fits beside the earlier ones; several are fitted at once."""
     store = existing(database)
     how = HowToFit(engine, distribution, weight, conductor)
-    found = fit_dataset(store, chosen_dataset(store, dataset), model, how)
+    wanted = list(dict.fromkeys(chosen_dataset(store, each) for each in dataset))
+    alone = len(wanted) == 1 and context.obj is None
+    with nullcontext(None) if alone else processes(context.obj, min(os.cpu_count() or 1, len(wanted))) as executor:
+        found = []
+        for each in fit_datasets(store, wanted, model, how, executor):
+            found.append(each)
+            if not as_json:
+                for line in fit_lines(each):
+                    Console().print(line, markup=False, highlight=False)
     if as_json:
-        emit(found)
-        return
-    out = Console()
-    for line in fit_lines(found):
-        out.print(line, markup=False, highlight=False)
+        emit(found[0] if len(found) == 1 else {"datasets": found})
 
 
 add_access(app)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from api.arguments import DATABASE, AsJson, DatabaseFile, emit
+from api.arguments import DATABASE, AsJson, DatabaseFile, bench_of, emit
 from api.characterise import Found, characterise, check_figure, content, instrument_lines, lines, write_figure
 from api.logged import Logged
 from api.settings import load_instrument
@@ -139,7 +139,7 @@ async def ask_for(piece: Piece) -> None:
 def _characterise(
     measure: Callable[[Instrument, Mount], Awaitable[Found]],
     instrument: Path | None,
-    database: Path,
+    database: str,
     output: Path | None,
     seed: int,
     *,
@@ -151,7 +151,9 @@ def _characterise(
     settings = load_instrument(instrument) if instrument else None
     if settings is not None:
         screen.print("Opening all devices; the measurement takes some minutes.", highlight=False)
-    found, proposed = wait(characterise(Store.open(database), settings, seed, ask_for, measure))
+    found, proposed = wait(
+        characterise(Store.open(database, bench_of(None, settings)), settings, seed, ask_for, measure)
+    )
     written = None if output is None else write_figure(found, output).path
     if as_json:
         emit(content(found, proposed) | {"path": None if written is None else str(written)})

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, emit
 from api.logged import Logged
+from goniometer.database import shown_place
 from goniometer.upgrade import upgrade as upgrade_database
 
 db = typer.Typer(help="Keep the database: back it up, restore, check and upgrade it.")
@@ -21,13 +22,19 @@ def register(app: typer.Typer) -> None:
 
 
 @db.command(cls=Logged)
-def upgrade(database: TheDatabase = str(DATABASE), as_json: AsJson = False) -> None:
+def upgrade(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Bring the database of an older version to this one; it is backed up beside itself first."""
     done = upgrade_database(database)
     if as_json:
-        emit({"database": database, "steps": done.steps, "backup": None if done.backup is None else str(done.backup)})
+        emit(
+            {
+                "database": shown_place(database),
+                "steps": done.steps,
+                "backup": None if done.backup is None else str(done.backup),
+            }
+        )
         return
-    lines = [f"{database} is of this version already."] if not done.steps else done.steps
+    lines = [f"{shown_place(database)} is of this version already."] if not done.steps else done.steps
     if done.backup is not None:
         lines = [f"Backed up as {done.backup}.", *lines]
     out = Console()

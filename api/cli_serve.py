@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from api.arguments import DATABASE, DatabaseFile
+from api.arguments import DATABASE, BenchName, DatabaseFile, bench_of
 from api.settings import load_instrument
 from goniometer.errors import InputError
 
@@ -15,6 +15,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command()
     def serve(
+        context: typer.Context,
         database: DatabaseFile = DATABASE,
         output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
         instrument: Annotated[
@@ -35,6 +36,7 @@ def register(app: typer.Typer) -> None:
         host_name: Annotated[
             list[str] | None, typer.Option(help="Name under which it is known, besides the machine's; may be repeated.")
         ] = None,
+        bench: BenchName = None,
     ) -> None:
         """Serve REST, events and the pages of the bench until it is stopped."""
         from api.serve import Listen  # noqa: PLC0415  (FastAPI takes half a second)
@@ -44,4 +46,5 @@ def register(app: typer.Typer) -> None:
         if settings is not None and mount_by_itself:
             raise InputError("--mount-by-itself is for the simulated bench; leave it out, or leave out --instrument.")
         listen = Listen(host, port, tls_cert, tls_key, behind_proxy, tuple(host_name or ()))
-        run(database, output, settings, listen, mounts_by_itself=mount_by_itself)
+        name = bench_of(bench, settings)
+        run(database, output, settings, listen, mounts_by_itself=mount_by_itself, bench=name, cluster=context.obj)

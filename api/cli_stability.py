@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.progress import track
 
 from api.arguments import AsJson, emit
+from api.executor import processes
 from api.simulations import Page, write_page
 from api.stability import (
     HOW_TO_READ,
     TITLE,
-    fitting_processes,
     percent,
     rows_of,
     silent_line,
@@ -35,6 +35,7 @@ def register(app: typer.Typer) -> None:
 
 
 def stability(
+    context: typer.Context,
     regime: Annotated[
         list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(REGIMES)}.", show_default=False)
     ] = None,
@@ -46,20 +47,22 @@ def stability(
         Path | None,
         typer.Option(help="File (JSON lines) that keeps all runs; what it holds is not made again."),
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; without it one for each processor.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes here; without it one for each processor.")
+    ] = None,
     path: Page = None,
     as_json: AsJson = False,
 ) -> None:
     """Fit difficult measurements of known truth with every method, and draw the map of what fails and what says so."""
     wanted = jobs(regime or list(REGIMES), method or list(METHODS), runs)
-    with fitting_processes(workers) as executor:
+    with processes(context.obj, workers) as executor:
         made = ensemble(wanted, executor, resume)
         found = list(track(made, "Fitting", len(wanted), console=screen, disable=not screen.is_terminal))
     made_cells = cells(found)
     silent = [each for each in found if each.silent]
     written = None if path is None else write_page(path, TITLE, stability_body(made_cells, silent)).path
     if as_json:
-        emit(stability_content(made_cells, silent) | {"path": None if written is None else str(written)})
+        emit(stability_content(made_cells, found) | {"path": None if written is None else str(written)})
     else:
         _tell(made_cells, silent, written)
     if silent:

@@ -47,10 +47,11 @@ class DemoResult:
     """Why samples that were measured have no fits; empty when all have."""
 
 
-async def demo(output: Path, seed: int, watch: Watch) -> DemoResult:
+async def demo(output: Path, seed: int, watch: Watch, cluster: str | None = None) -> DemoResult:
     """Run or resume the demo in the folder `output`; when it is complete, only its results are shown.
 
-    Raises what `api.service.run` raises; `CampaignError` when `output` holds a demo with another seed.
+    Fits run on the Dask scheduler `cluster`, where there is one. Raises what `api.service.run` raises; `CampaignError`
+    when `output` holds a demo with another seed.
     """
     began = time.monotonic()
     make_folder(output)
@@ -58,7 +59,7 @@ async def demo(output: Path, seed: int, watch: Watch) -> DemoResult:
     store = Store.open(database)
     # The lamp of the simulated bench does not drift; looks at it are bound to time, which a killed run cannot repeat.
     campaign = Campaign(name="Demo", seed=seed, samples=SAMPLES, monitor=None)
-    result = await run(store, campaign, output, None, watch)
+    result = await run(store, campaign, output, None, watch, cluster=cluster)
     campaign_id = result.campaign_id
     samples = outcomes(store, campaign_id, truth=True)
     bench_seconds = sum(point.seconds for scan in store.scans(campaign_id) for point in store.points(scan.id))

@@ -1,4 +1,4 @@
-"""What is made of a calibrated dataset: fits, files and a report; runs in a process of its own."""
+"""What is made of a calibrated dataset: fits, files and a report; runs in a process of its own, anywhere."""
 
 import hashlib
 import multiprocessing
@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.sax.saxutils import quoteattr
 
 from analysis.analyse import analyse
@@ -54,25 +55,36 @@ class Derived:
 
     fits: dict[str, str]
     """Model -> JSON; "analysis" holds all of them together with the local fit."""
-    exports: tuple[Export, ...]
+    files: tuple[tuple[str, str, bytes], ...]
+    """Format, name and content of each; the report comes last."""
 
 
-def derive(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
-    """Fit `dataset` and write `fit-*.json`, `analysis.json`, the `.bsdf` and `report.html` into `folder`.
+def derive(dataset: Dataset, facts: RunFacts) -> Derived:
+    """Fit `dataset` and make `fit-*.json`, `analysis.json`, the `.bsdf` and `report.html`; a pure function.
 
     Raises `AnalysisError` for data that cannot be fitted or written, and `StoreFull` where the disk is full.
     """
+    with TemporaryDirectory() as folder:
+        return _derived(dataset, facts, Path(folder))
+
+
+def write_derived(derived: Derived, folder: Path) -> tuple[Export, ...]:
+    """Write the files into `folder`; raises `StoreFull` where the disk refuses."""
+    make_folder(folder)
+    return tuple(write_bytes(file_format, folder / name, content) for file_format, name, content in derived.files)
+
+
+def _derived(dataset: Dataset, facts: RunFacts, folder: Path) -> Derived:
     conductor = load_conductor()
     analysis = analyse(dataset, conductor)
     fits = {fit.model: fit_to_json(fit, dataset, analysis.differences[fit.model], conductor) for fit in analysis.models}
     fits["analysis"] = analysis_to_json(analysis, conductor)
-    make_folder(folder)
     exports = [write_text("json", folder / f"{model}.json", text) for model, text in fits.items()]
     bsdf, for_renderer = write_bsdf(folder / f"{slug(dataset.sample)}.bsdf", analysis)
     exports += for_renderer
     files = tuple((e.path.name, _CONTENT[e.file_format]) for e in exports)
     exports.append(write_analysis_report(folder / REPORT, analysis, replace(facts, files=files, bsdf=bsdf)))
-    return Derived(fits, tuple(exports))
+    return Derived(fits, tuple((each.file_format, each.path.name, each.path.read_bytes()) for each in exports))
 
 
 _CONTENT = {

@@ -8,7 +8,9 @@ GoniometerError
     ├── Outdated        it was changed since it was read
     ├── TooLarge        more was sent than is read
     ├── Misdirected     whoever asks calls the service by a name that it does not have
-    └── TooManyFailures logins failed, so that the next must wait
+    ├── TooManyFailures logins failed, so that the next must wait
+    └── ClusterError    the machines to which work was sent do not do it
+        └── VersionsDiffer  a worker there runs other software than this program
 
 Every message is one sentence that says what is wrong, where, and what would be right.
 """
@@ -50,3 +52,11 @@ class TooManyFailures(ServiceError):
     def __init__(self, message: str, seconds: float) -> None:
         super().__init__(message)
         self.seconds = seconds
+
+
+class ClusterError(ServiceError):
+    """A cluster does not answer, does not fit this program, or does not do its work."""
+
+
+class VersionsDiffer(ClusterError):
+    """A worker runs other software than this program."""

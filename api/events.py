@@ -11,6 +11,7 @@ import threading
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Literal
 
 EventKind = Literal["state", "progress", "point", "spectrum", "queue", "mount", "job", "alarm", "log", "reset"]
@@ -46,23 +47,27 @@ class Events:
         self._changed = asyncio.Event()
         self._waking = False
         self._closed = False
+        self._shared: tuple[int, int, tuple[Event, ...]] = (0, 0, ())
+        self._beat: asyncio.TimerHandle | None = None
 
     def attach(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Name the event loop in which listeners wait."""
+        """Name the event loop in which listeners wait; to be called in it."""
         self._loop = loop
+        self._beat = loop.call_later(HEARTBEAT, self._wake)
 
-    def publish(self, kind: EventKind, data: Mapping[str, Any]) -> None:
-        """Tell all listeners; `data` must be what JSON can say."""
-        text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    def publish(self, kind: EventKind, data: Mapping[str, Any] | str) -> None:
+        """Tell all listeners; `data` must be what JSON can say, or is JSON in one line already."""
+        if not isinstance(data, str):
+            data = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
         with self._lock:
             self._count += 1
-            self._kept.append(Event(self._count, kind, text))
-        self._wake_soon()
+            self._kept.append(Event(self._count, kind, data))
+        self._wake_soon(TOGETHER)
 
     def close(self) -> None:
         """End all streams, so that nothing keeps the server from ending; harmless when repeated."""
         self._closed = True
-        self._wake_soon()
+        self._wake_soon(0.0)
 
     @property
     def count(self) -> int:
@@ -73,48 +78,51 @@ class Events:
         """What a listener calls the event when it comes back, for `subscribe`."""
         return f"{self._run}-{event.number}"
 
-    async def subscribe(self, after: str | None = None) -> AsyncIterator[list[Event]]:
-        """What happens from now on, or after the event of that name; an empty list is a heartbeat.
+    async def subscribe(self, after: str | None = None) -> AsyncIterator[tuple[Event, ...]]:
+        """What happens from now on, or after the event of that name; nothing is a heartbeat.
 
-        The first list comes at once: what was missed, or nothing. One whose first event is a "reset" says that events
-        were lost. The last event that was told is remembered by the listener, by its `name`.
+        The first comes at once: what was missed, or nothing. Where the first event is a "reset", events were lost. The
+        last event that was told is remembered by the listener, by its `name`. Listeners who are told the same are given
+        the same object.
         """
         seen = self._count
         if after is not None:
             run, _, number = after.rpartition("-")
             known = run == self._run and number.isascii() and number.isdecimal() and int(number) <= self._count
             seen = int(number) if known else -1
-        first = True
         while not self._closed:
             changed = self._changed
-            with self._lock:
-                oldest = self._kept[0].number if self._kept else self._count + 1
-                lost = seen < oldest - 1
-                told = [event for event in self._kept if event.number > seen] if not lost else []
-                if lost:
-                    told = [Event(self._count, "reset", "{}")]
-                seen = self._count
-            if told or first:
-                first = False
-                yield told
-                continue
-            try:
-                await asyncio.wait_for(changed.wait(), HEARTBEAT)
-            except TimeoutError:
-                yield []
-            else:
-                await asyncio.sleep(TOGETHER)
+            seen, told = self._since(seen)
+            yield told
+            await changed.wait()
 
-    def _wake_soon(self) -> None:
+    def _since(self, seen: int) -> tuple[int, tuple[Event, ...]]:
+        """The number of the last event, and all events after the one of the number `seen`."""
+        with self._lock:
+            if self._shared[:2] != (seen, self._count):
+                new = self._count - seen
+                told: tuple[Event, ...] = (Event(self._count, "reset", "{}"),)
+                if new <= len(self._kept):
+                    told = tuple(islice(reversed(self._kept), new))[::-1]
+                self._shared = seen, self._count, told
+            return self._count, self._shared[2]
+
+    def _wake_soon(self, seconds: float) -> None:
+        """Let all listeners look after so many seconds, at once where there are none."""
         loop = self._loop
         with self._lock:
-            if loop is None or loop.is_closed() or self._waking:
+            if loop is None or loop.is_closed() or (self._waking and seconds):
                 return
             self._waking = True
-        loop.call_soon_threadsafe(self._wake)
+        loop.call_soon_threadsafe(loop.call_later, seconds, self._wake)
 
     def _wake(self) -> None:
+        """Let all listeners look now; where nothing happens, again after a while, so that they see the stream lives."""
         with self._lock:
             self._waking = False
-            self._changed.set()
-            self._changed = asyncio.Event()
+        self._changed.set()
+        self._changed = asyncio.Event()
+        if self._beat is not None:
+            self._beat.cancel()
+        assert self._loop is not None  # it is the one that runs this
+        self._beat = self._loop.call_later(HEARTBEAT, self._wake)

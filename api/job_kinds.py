@@ -10,9 +10,10 @@ from analysis.page import titled_page
 from analysis.tradeoff import charts_json
 from api.accounts import Role
 from api.certificates import known_certificate
-from api.choose import choice_content, choose_model, mitsuba_is_there
+from api.choose import choice_content, choice_pictures, choose_model, mitsuba_is_there
 from api.datasets import recalibrate
 from api.derive import Export, make_folder, slug, write_text
+from api.executor import processes
 from api.exports import FORMATS, Options, export_dataset
 from api.imports import Request, imported_file
 from api.job_arguments import (
@@ -29,7 +30,7 @@ from api.job_arguments import (
 from api.products import HowToFit, fit_dataset, report_dataset
 from api.quality import quality, settings_of
 from api.stability import TITLE as STABILITY
-from api.stability import fitting_processes, stability_body, stability_content
+from api.stability import stability_body, stability_content
 from api.tradeoff import TITLE as TRADEOFF
 from api.tradeoff import chapters, charts
 from api.uploads import uploaded
@@ -53,6 +54,8 @@ class Work:
     output: Path
     """Folder of the results of the service."""
     tell: Tell
+    cluster: str | None = None
+    """Address of the Dask scheduler that does heavy work; None for this machine."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,10 @@ class Kind:
 def _fit(work: Work, asked: FitArguments) -> Made:
     work.tell(None, f"Fitting {asked.model or 'all models'}")
     how = HowToFit(asked.engine, asked.distribution, asked.weight, asked.conductor)
-    return Made(fit_dataset(work.store, asked.dataset, asked.model, how))
+    if work.cluster is None:
+        return Made(fit_dataset(work.store, asked.dataset, asked.model, how))
+    with processes(work.cluster) as executor:
+        return Made(fit_dataset(work.store, asked.dataset, asked.model, how, executor))
 
 
 def _export(work: Work, asked: ExportArguments) -> Made:
@@ -170,13 +176,13 @@ def _tradeoff(work: Work, asked: TradeoffArguments) -> Made:
 def _stability(work: Work, asked: StabilityArguments) -> Made:
     wanted = jobs(asked.regimes or list(REGIMES), asked.methods or list(METHODS), asked.runs)
     found = []
-    with fitting_processes(None) as executor:
+    with processes(work.cluster) as executor:
         for run in ensemble(wanted, executor):
             found.append(run)
             work.tell(len(found) / len(wanted), f"{len(found)} of {len(wanted)} fits")
     silent = [each for each in found if each.silent]
     made = cells(found)
-    return Made(stability_content(made, silent), titled_page(STABILITY, stability_body(made, silent)))
+    return Made(stability_content(made, found), titled_page(STABILITY, stability_body(made, silent)))
 
 
 def _choose(work: Work, asked: ChooseArguments) -> Made:
@@ -189,7 +195,8 @@ def _choose(work: Work, asked: ChooseArguments) -> Made:
     found = choose_model(work.store, asked.dataset, scene, asked.tolerance, dielectric=dielectric, rendering=rendering)
     sample = work.store.entry(asked.dataset).sample
     body = choice_body(found.choice, sample, scene.name, found.rendered)
-    return Made({"dataset": asked.dataset} | choice_content(found), titled_page(f"The model that {sample} needs", body))
+    result = {"dataset": asked.dataset, "sample": sample} | choice_content(found) | {"pictures": choice_pictures(found)}
+    return Made(result, titled_page(f"The model that {sample} needs", body))
 
 
 KINDS: dict[str, Kind] = {

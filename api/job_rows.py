@@ -7,7 +7,6 @@ that answered for it ended first. A job that has ended stays as it is; whoever w
 import os
 import secrets
 import socket
-import time
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
@@ -73,7 +72,7 @@ def add_job(database: Database, kind: str, arguments: str, who: str, by: str) ->
             who=who,
             state="waiting",
             runner=by,
-            beat=time.time(),
+            beat=database.clock(),
             created=now(),
             arguments=arguments,
         )
@@ -150,7 +149,7 @@ def beat(database: Database, by: str) -> None:
     mine = table.c.state.in_(OPEN), table.c.runner == by
     if database.rows(select(table.c.id).where(*mine).limit(1)):
         with database.writing() as connection:
-            connection.execute(update(table).where(*mine).values(beat=time.time()))
+            connection.execute(update(table).where(*mine).values(beat=database.clock()))
 
 
 def interrupt_orphans(database: Database, by: str) -> list[int]:
@@ -160,7 +159,8 @@ def interrupt_orphans(database: Database, by: str) -> list[int]:
     """
     columns = table.c.id, table.c.runner, table.c.beat
     open_jobs = database.rows(select(*columns).where(table.c.state.in_(OPEN), table.c.runner != by))
-    orphans = [row.id for row in open_jobs if time.time() - row.beat > SILENT or _is_gone(row.runner)]
+    clock = database.clock() if open_jobs else 0.0
+    orphans = [row.id for row in open_jobs if clock - row.beat > SILENT or _is_gone(row.runner)]
     return [job_id for job_id in orphans if finish(database, job_id, "interrupted", INTERRUPTED)]
 
 

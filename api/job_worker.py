@@ -46,11 +46,14 @@ def _tell(share: float | None, words: str) -> None:
         connection.send((share, words))
 
 
-def work(database: str, output: str, job_id: int, kind: str, arguments: str) -> Ended:
-    """Do a job on a database; `output` is the folder of all results, and `arguments` are those of its kind as JSON."""
+def work(database: str, output: str, cluster: str | None, job_id: int, kind: str, arguments: str) -> Ended:
+    """Do a job on a database; `output` is the folder of all results, and `arguments` are those of its kind as JSON.
+
+    `cluster` is the address of the Dask scheduler that does heavy work, None for this machine.
+    """
     wanted = KINDS[kind]
     store = Store.open(database if "://" in database else Path(database))
-    here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell)
+    here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell, cluster)
     try:
         made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
     except (GoniometerError, AnalysisError, DriverError) as error:

@@ -45,12 +45,18 @@ _TOLD = 0.5
 class Jobs:
     """The jobs that this process answers for; `close` ends it."""
 
-    def __init__(self, store: Store, database: Path | str, output: Path, events: Events) -> None:
-        """`database` is where `store` is, and `output` the folder of all results."""
+    def __init__(
+        self, store: Store, database: Path | str, output: Path, events: Events, cluster: str | None = None
+    ) -> None:
+        """`database` is where `store` is, and `output` the folder of all results.
+
+        `cluster` is the address of the Dask scheduler to which jobs send heavy work; None for this machine.
+        """
         self._store = store
         self._database = str(database)
         self._output = output
         self._events = events
+        self._cluster = cluster
         self._me = job_rows.runner()
         self._groups: dict[int, int] = {}
         self._cancelled: set[int] = set()
@@ -120,7 +126,9 @@ class Jobs:
                     self._cancelled.discard(job_id)
                     return
                 self._groups[job_id] = 0
-                future = executor.submit(work, self._database, str(self._output), job_id, kind, arguments)
+                future = executor.submit(
+                    work, self._database, str(self._output), self._cluster, job_id, kind, arguments
+                )
             self._publish(job_id)
             self._follow(job_id, future, heard)
         with self._lock:

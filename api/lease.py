@@ -1,4 +1,4 @@
-"""Who drives the bench: one service at a time, as the database says.
+"""Who drives a bench: one service at a time, as the database says. Every bench on a database has a lease of its own.
 
 The holder of the lease raises its beat every `BEAT` seconds. Whoever wants to take it over must have seen the same beat
 for `EXPIRY` seconds of its own monotonic clock, so that clocks of two machines are never compared; a holder that could
@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Row, insert, select, update
+from sqlalchemy import ColumnElement, Row, insert, select, update
 
 from goniometer.database import Database
 from goniometer.records import now
@@ -50,7 +50,7 @@ class Lease:
 
 def read_lease(database: Database) -> Lease | None:
     """The lease; None where nobody ever drove."""
-    rows = database.rows(select(table))
+    rows = database.rows(select(table).where(_of(database)))
     return _lease(rows[0]) if rows else None
 
 
@@ -66,44 +66,44 @@ def take_lease(database: Database, holder: str, url: str, over: Lease | None) ->
         "beat": 0,
     }
     with database.alone() as connection:
-        row = connection.execute(select(table)).first()
+        row = connection.execute(select(table).where(_of(database))).first()
         if row is None:
-            connection.execute(insert(table).values(id=1, term=1, **mine))
+            connection.execute(insert(table).values(bench=database.bench, term=1, **mine))
         elif row.holder is None or (over is not None and (row.term, row.beat) == (over.term, over.beat)):
-            connection.execute(update(table).values(term=row.term + 1, **mine))
+            connection.execute(update(table).where(_of(database)).values(term=row.term + 1, **mine))
         else:
             return None
-        return _lease(connection.execute(select(table)).one())
+        return _lease(connection.execute(select(table).where(_of(database))).one())
 
 
 def renew_lease(database: Database, lease: Lease) -> Lease | None:
     """The lease with its next beat; None where another has taken it."""
-    mine = (table.c.term == lease.term) & (table.c.holder == lease.holder)
+    mine = _of(database) & (table.c.term == lease.term) & (table.c.holder == lease.holder)
     with database.alone() as connection:
         if connection.execute(update(table).where(mine).values(beat=table.c.beat + 1)).rowcount == 0:
             return None
-        return _lease(connection.execute(select(table)).one())
+        return _lease(connection.execute(select(table).where(_of(database))).one())
 
 
 def release_lease(database: Database, lease: Lease) -> None:
     """Let go, so that others need not wait; harmless where another has taken it."""
-    mine = (table.c.term == lease.term) & (table.c.holder == lease.holder)
+    mine = _of(database) & (table.c.term == lease.term) & (table.c.holder == lease.holder)
     with database.writing() as connection:
         connection.execute(update(table).where(mine).values(holder=None, stop=False))
 
 
 def pass_on_stop(database: Database) -> None:
-    """Tell whoever drives that somebody pressed stop."""
+    """Tell whoever drives this bench that somebody pressed stop."""
     with database.writing() as connection:
-        connection.execute(update(table).values(stop=True))
+        connection.execute(update(table).where(_of(database)).values(stop=True))
 
 
 def take_up_stop(database: Database, lease: Lease) -> bool:
     """Whether somebody pressed stop elsewhere since this was asked before."""
-    if not database.rows(select(table.c.id).where(table.c.stop, table.c.term == lease.term)):
+    if not database.rows(select(table.c.id).where(_of(database), table.c.stop, table.c.term == lease.term)):
         return False
     with database.writing() as connection:
-        connection.execute(update(table).values(stop=False))
+        connection.execute(update(table).where(_of(database)).values(stop=False))
     return True
 
 
@@ -120,6 +120,10 @@ class Watcher:
         if beat != self._seen:
             self._seen, self._since = beat, time.monotonic()
         return time.monotonic() - self._since
+
+
+def _of(database: Database) -> ColumnElement[bool]:
+    return table.c.bench == database.bench
 
 
 def _lease(row: Row[Any]) -> Lease:

@@ -68,20 +68,22 @@ class Link:
         self._thread: threading.Thread | None = None
         self._past: deque[Past] = deque(maxlen=HISTORY)
         self._past_told = -HISTORY_EVERY
-        self._state: BenchState | None = None
         self._unknown = _unknown(task)
+        self._state = self._unknown
+        self.shown = self._unknown.model_dump_json()
+        """`state` as JSON, made once for all who ask."""
         self.snapshot: Snapshot | None = None
         """The last spectrum; None where there is none yet."""
 
     @property
     def state(self) -> BenchState:
         """What the bench is and does."""
-        return self._state or self._unknown
+        return self._state
 
     @property
     def lives(self) -> bool:
         """Whether the process has told of the bench, and has not ended since."""
-        return self._state is not None
+        return self._state is not self._unknown
 
     @property
     def past(self) -> list[Past]:
@@ -141,7 +143,7 @@ class Link:
                 self._connection = None
                 here.close()
                 forsaken, self._waiting = self._waiting, {}
-            self._state = None
+            self._tell(self._unknown)
             for answer in forsaken.values():
                 answer.set_exception(Conflict("The process that drives the bench has ended; try again in a moment"))
             process.join(PATIENCE)
@@ -165,9 +167,9 @@ class Link:
     def _hear(self, message: Message) -> None:
         match message:
             case BenchState():
-                self._state = message
+                self._tell(message)
                 self._remember(message)
-                self._events.publish("state", message.model_dump(mode="json"))
+                self._events.publish("state", self.shown)
             case Snapshot():
                 self.snapshot = message
                 told = {
@@ -190,6 +192,9 @@ class Link:
                 else:
                     answer.set_exception(_error(*refusal))
 
+    def _tell(self, state: BenchState) -> None:
+        self._state, self.shown = state, state.model_dump_json()
+
     def _remember(self, state: BenchState) -> None:
         if time.monotonic() - self._past_told >= HISTORY_EVERY and state.stages:
             self._past_told = time.monotonic()
@@ -199,6 +204,7 @@ class Link:
 def _unknown(task: Task) -> BenchState:
     """The state of a bench of which nobody has told anything yet."""
     return BenchState(
+        name=task.bench,
         phase="disconnected",
         doing="The process that drives the bench is being started.",
         possible=(),

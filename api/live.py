@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from api.callers import Callers
 from api.events import Events
 from api.jobs import Jobs
 from api.link import Link
@@ -12,6 +13,7 @@ from api.runner import Task
 from api.settings import InstrumentSettings
 from api.views.opened import Datasets
 from goniometer.store import Store
+from goniometer.tables import BENCH
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Live:
     """Heavy work in processes of its own."""
     datasets: Datasets
     """Datasets as they are looked at."""
+    callers: Callers
+    """Who asks for something."""
     files: Path
     """Folder of what campaigns name: certificates, materials and weights of scenes."""
 
@@ -45,19 +49,22 @@ def open_live(
     *,
     url: str = "http://127.0.0.1:8000",
     mounts_by_itself: bool = False,
+    bench: str = BENCH,
+    cluster: str | None = None,
 ) -> Iterator[Live]:
     """The service on `database`, until the context ends; nothing moves before an application is made of it.
 
     `settings` of None are the simulated bench, on which samples are laid without asking anybody if `mounts_by_itself`.
-    `url` is where the service answers. Raises `StoreError` where the database cannot be opened.
+    `url` is where the service answers, `bench` the name of the bench, `cluster` the Dask scheduler that does heavy
+    work, None for this machine. Raises `StoreError` where the database cannot be opened.
     """
-    store = Store.open(database)
+    store = Store.open(database, bench)
     events = Events()
-    worker = Link(Task(database, output, settings, url, mounts_by_itself), store, events)
-    jobs = Jobs(store, database, output, events)
+    worker = Link(Task(database, output, settings, url, mounts_by_itself, bench, cluster), store, events)
+    jobs = Jobs(store, database, output, events, cluster)
     datasets = Datasets(store, output / "cache")
     try:
-        yield Live(store, database, settings, events, worker, output, jobs, datasets, Path.cwd())
+        yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())
     finally:
         jobs.close()
         events.close()

@@ -1,7 +1,10 @@
 """What can be made of a dataset in the database at any time: fits, files for others, a report."""
 
 import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,28 +40,49 @@ class HowToFit:
     """Name in the refractive index database."""
 
 
-def fit_dataset(store: Store, dataset_id: int, model: str | None, how: HowToFit = HowToFit()) -> dict[str, Any]:
-    """Fit a dataset anew, store the fits, and return them as JSON: one model, or all of a scan's end.
+def fit_datasets(
+    store: Store,
+    dataset_ids: Sequence[int],
+    model: str | None,
+    how: HowToFit = HowToFit(),
+    executor: Executor | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Fit datasets anew, store the fits, and return them as JSON: one model, or all of a scan's end.
 
-    Raises `InputError` for an unknown model, `UnknownConductor`, and `FitError` for data that cannot be fitted.
+    Each dataset is a task of `executor`; without one they are fitted here. Raises `InputError` for an unknown model,
+    `UnknownConductor`, and `FitError` for data that cannot be fitted.
     """
     if model is not None and model not in MODELS:
         raise InputError(f'There is no model "{model}"; there are {", ".join(MODELS)}.')
-    dataset = store.dataset(dataset_id)
+    datasets = [store.dataset(each) for each in dataset_ids]
+    made = (map if executor is None else executor.map)(partial(_fitted, model, how), datasets)
+    for dataset_id, dataset, texts in zip(dataset_ids, datasets, made, strict=True):
+        for kind, text in texts.items():
+            if kind != "analysis" or model in {None, "local"}:
+                store.add_fit(dataset_id, kind, text)
+        content: dict[str, Any] = json.loads(texts["analysis"])
+        parts = {"local": content["local"]} | {part["model"]: part for part in content["models"]}
+        shown = parts if model is None else {model: parts[model]}
+        yield {"dataset": dataset_id, "sample": dataset.sample, "uncertainties": STATED, "fits": shown}
+
+
+def fit_dataset(
+    store: Store, dataset_id: int, model: str | None, how: HowToFit = HowToFit(), executor: Executor | None = None
+) -> dict[str, Any]:
+    """As `fit_datasets`, one."""
+    return next(fit_datasets(store, [dataset_id], model, how, executor))
+
+
+def _fitted(model: str | None, how: HowToFit, dataset: Dataset) -> dict[str, str]:
+    """JSON of all fits together as "analysis", and of each but "local" by the name of its model; a pure function."""
     conductor = load_conductor(*conductor_name(how.conductor))
     models = AT_THE_END_OF_A_SCAN if model in {None, "local"} else (str(model),)
     analysis = analyse(dataset, conductor, models, how.engine, how.distribution, how.weight)
-    whole = analysis_to_json(analysis, conductor)
-    if model in {None, "local"}:
-        store.add_fit(dataset_id, "analysis", whole)
-    for fit in analysis.models:
-        if model != "local":
-            text = fit_to_json(fit, dataset, analysis.differences[fit.model], conductor)
-            store.add_fit(dataset_id, fit.model, text)
-    content: dict[str, Any] = json.loads(whole)
-    parts = {"local": content["local"]} | {part["model"]: part for part in content["models"]}
-    shown = parts if model is None else {model: parts[model]}
-    return {"dataset": dataset_id, "sample": dataset.sample, "uncertainties": STATED, "fits": shown}
+    texts = {"analysis": analysis_to_json(analysis, conductor)}
+    if model != "local":
+        for fit in analysis.models:
+            texts[fit.model] = fit_to_json(fit, dataset, analysis.differences[fit.model], conductor)
+    return texts
 
 
 def conductor_name(name: str) -> tuple[str, str, str]:

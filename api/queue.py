@@ -6,14 +6,14 @@
                          ^─────────────────────────────────────────────┘ (unless it is completed)
 
 Nothing moves after a restart or a stop before somebody has looked: whatever was queued or running is idle then, with
-the reason.
+the reason. Every bench has a queue of its own; a handle of the database sees that of its bench.
 """
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, delete, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, select, update
 
 from api.errors import Conflict
 from goniometer.campaign import Campaign
@@ -53,6 +53,8 @@ class Entry:
     started: str | None
     """When it ran first."""
     finished: str | None
+    bench: str
+    """Which is to measure it."""
 
     @property
     def campaign(self) -> Campaign:
@@ -62,13 +64,13 @@ class Entry:
 
 def entries(database: Database) -> list[Entry]:
     """All that is not finished, in its order."""
-    query = select(table).where(table.c.phase != "finished").order_by(table.c.position)
+    query = select(table).where(_of(database), table.c.phase != "finished").order_by(table.c.position)
     return [_entry(row) for row in database.rows(query)]
 
 
 def finished_entries(database: Database, before: int | None, limit: int) -> list[Entry]:
     """The newest `limit` finished entries with ids below `before`, newest first."""
-    query = select(table).where(table.c.phase == "finished").order_by(table.c.id.desc()).limit(limit)
+    query = select(table).where(_of(database), table.c.phase == "finished").order_by(table.c.id.desc()).limit(limit)
     if before is not None:
         query = query.where(table.c.id < before)
     return [_entry(row) for row in database.rows(query)]
@@ -77,26 +79,28 @@ def finished_entries(database: Database, before: int | None, limit: int) -> list
 def entry(database: Database, entry_id: int) -> Entry:
     """One entry; raises `NotInStore`."""
     with database.reading() as connection:
-        return _one(connection, entry_id)
+        return _one(database, connection, entry_id)
 
 
 def add_entry(database: Database, campaign: Campaign, who: str, start_after: datetime | None = None) -> Entry:
     """Append a campaign; one with a moment to begin at is started, and waits for it.
 
-    Raises `Conflict` where a campaign of this name is in the queue.
+    Raises `Conflict` where a campaign of this name is in the queue of any bench.
     """
     with database.alone() as connection:
-        here = connection.execute(select(table.c.id).where(table.c.name == campaign.name, table.c.phase != "finished"))
-        known = here.scalar()
+        same = table.c.name == campaign.name, table.c.phase != "finished"
+        known = connection.execute(select(table.c.id, table.c.bench).where(*same)).first()
         if known is not None:
+            elsewhere = "" if known.bench == database.bench else f" of the bench {known.bench}"
             raise Conflict(
-                f'The campaign "{campaign.name}" is in the queue as entry {known}; remove that, or give this one '
-                f"another name"
+                f'The campaign "{campaign.name}" is in the queue{elsewhere} as entry {known.id}; remove that, or give '
+                f"this one another name"
             )
         added = insert_row(
             connection,
             table,
-            position=_last(connection) + 1,
+            bench=database.bench,
+            position=_last(database, connection) + 1,
             name=campaign.name,
             json=campaign.canonical_json,
             phase="idle" if start_after is None else "queued",
@@ -105,17 +109,19 @@ def add_entry(database: Database, campaign: Campaign, who: str, start_after: dat
             created=now(),
             ordered=None if start_after is None else now(),
         )
-        return _one(connection, added)
+        return _one(database, connection, added)
 
 
 def move_entry(database: Database, entry_id: int, position: int) -> Entry:
     """Put an entry at a place, counted from 1; others make room. Raises `NotInStore` and `Conflict`."""
     with database.alone() as connection:
-        moved = _one(connection, entry_id)
+        moved = _one(database, connection, entry_id)
         if moved.phase == "finished":
             raise Conflict(f"Entry {entry_id} is finished and has no place in the queue any more; start it again first")
         order = list(
-            connection.execute(select(table.c.id).where(table.c.phase != "finished").order_by(table.c.position))
+            connection.execute(
+                select(table.c.id).where(_of(database), table.c.phase != "finished").order_by(table.c.position)
+            )
             .scalars()
             .all()
         )
@@ -123,13 +129,13 @@ def move_entry(database: Database, entry_id: int, position: int) -> Entry:
         order.insert(min(position, len(order) + 1) - 1, entry_id)
         for place, each in enumerate(order, start=1):
             connection.execute(update(table).where(table.c.id == each).values(position=place))
-        return _one(connection, entry_id)
+        return _one(database, connection, entry_id)
 
 
 def remove_entry(database: Database, entry_id: int) -> None:
     """Forget an entry; what was measured stays. Raises `NotInStore`, and `Conflict` for one that is running."""
     with database.alone() as connection:
-        gone = _one(connection, entry_id)
+        gone = _one(database, connection, entry_id)
         if gone.phase == "running":
             raise Conflict(f'Entry {entry_id}, "{gone.name}", is running; abort it first, then remove it')
         connection.execute(delete(table).where(table.c.id == entry_id))
@@ -138,7 +144,7 @@ def remove_entry(database: Database, entry_id: int) -> None:
 def start_entry(database: Database, entry_id: int) -> Entry:
     """Let an entry run when its turn comes; harmless when it is queued. Raises `NotInStore` and `Conflict`."""
     with database.alone() as connection:
-        wanted = _one(connection, entry_id)
+        wanted = _one(database, connection, entry_id)
         if wanted.phase == "running":
             raise Conflict(f'Entry {entry_id}, "{wanted.name}", is running; it can be paused, resumed or aborted')
         if wanted.outcome == "completed":
@@ -149,26 +155,27 @@ def start_entry(database: Database, entry_id: int) -> Entry:
             return wanted
         values: dict[str, Any] = {"phase": "queued", "outcome": None, "reason": "", "finished": None, "ordered": now()}
         if wanted.phase == "finished":
-            values["position"] = _last(connection) + 1
+            values["position"] = _last(database, connection) + 1
         connection.execute(update(table).where(table.c.id == entry_id).values(**values))
-        return _one(connection, entry_id)
+        return _one(database, connection, entry_id)
 
 
 def unqueue(database: Database, entry_id: int) -> Entry:
     """Let an entry that is queued wait for somebody to start it again. Raises `NotInStore` and `Conflict`."""
     with database.alone() as connection:
-        wanted = _one(connection, entry_id)
+        wanted = _one(database, connection, entry_id)
         if wanted.phase != "queued":
             raise Conflict(f'Entry {entry_id}, "{wanted.name}", is {wanted.phase}, so there is nothing to abort')
         connection.execute(update(table).where(table.c.id == entry_id).values(phase="idle", reason="It was aborted."))
-        return _one(connection, entry_id)
+        return _one(database, connection, entry_id)
 
 
 def next_entry(database: Database) -> Entry | None:
     """The first entry whose turn it is, which is running now; None where there is none."""
     moment = now()
     due = table.c.start_after.is_(None) | (table.c.start_after <= moment)
-    wanted = select(table.c.id).where(table.c.phase == "queued", due).order_by(table.c.position).limit(1)
+    mine = _of(database), table.c.phase == "queued", due
+    wanted = select(table.c.id).where(*mine).order_by(table.c.position).limit(1)
     if not database.rows(wanted):  # to look is cheaper than to keep all others from writing
         return None
     with database.alone() as connection:
@@ -177,7 +184,7 @@ def next_entry(database: Database) -> Entry | None:
             return None
         started = func.coalesce(table.c.started, moment)
         connection.execute(update(table).where(table.c.id == found).values(phase="running", started=started, reason=""))
-        return _one(connection, found)
+        return _one(database, connection, found)
 
 
 def begun(database: Database, entry_id: int, campaign_id: int) -> None:
@@ -201,7 +208,7 @@ def hold(database: Database, reason: str, since: str | None = None) -> None:
 
     What somebody started after the moment `since`, ISO 8601 in UTC, stays queued.
     """
-    meant = table.c.phase == "queued"
+    meant = _of(database) & (table.c.phase == "queued")
     if since is not None:
         meant &= table.c.ordered < since
     with database.writing() as connection:
@@ -211,17 +218,25 @@ def hold(database: Database, reason: str, since: str | None = None) -> None:
 def interrupt(database: Database, reason: str) -> None:
     """What was running is idle, for this reason; it has not ended, and goes on where it stood."""
     with database.writing() as connection:
-        connection.execute(update(table).where(table.c.phase == "running").values(phase="idle", reason=reason))
+        running = _of(database), table.c.phase == "running"
+        connection.execute(update(table).where(*running).values(phase="idle", reason=reason))
 
 
-def _last(connection: Connection) -> int:
-    return int(connection.execute(select(func.coalesce(func.max(table.c.position), 0))).scalar_one())
+def _of(database: Database) -> ColumnElement[bool]:
+    return table.c.bench == database.bench
 
 
-def _one(connection: Connection, entry_id: int) -> Entry:
+def _last(database: Database, connection: Connection) -> int:
+    last = select(func.coalesce(func.max(table.c.position), 0)).where(_of(database))
+    return int(connection.execute(last).scalar_one())
+
+
+def _one(database: Database, connection: Connection, entry_id: int) -> Entry:
     row = connection.execute(select(table).where(table.c.id == entry_id)).first()
     if row is None:
         raise NotInStore(f"There is no entry {entry_id} in the queue; list what there is")
+    if row.bench != database.bench:
+        raise NotInStore(f"Entry {entry_id} is in the queue of the bench {row.bench}; ask the service that drives it")
     return _entry(row)
 
 

@@ -41,6 +41,10 @@ class Task:
     """Where the service answers."""
     mounts_by_itself: bool
     """Whether samples are laid on the simulated bench without asking anybody."""
+    bench: str
+    """Name of the bench."""
+    cluster: str | None = None
+    """Address of the Dask scheduler that does heavy work; None for this machine."""
     since: str = ""
     """When the process was started, ISO 8601 in UTC: what was queued before waits for somebody to look."""
 
@@ -88,7 +92,8 @@ class Runner:
                 await mount(scan)
 
             bench = self._bench.instrument, begin
-            work = run_alone(self._store, campaign, folder, self._bench.settings, watch, bench=bench)
+            settings, cluster = self._bench.settings, self._task.cluster
+            work = run_alone(self._store, campaign, folder, settings, watch, bench=bench, cluster=cluster)
             result = await self._bench.run(f'Measuring the campaign "{campaign.name}".', work)
         except (RunAborted, Conflict) as error:
             if not self.leaving:

@@ -19,6 +19,7 @@ from api.web.access import check_listen
 from api.web.app import make_app
 from goniometer.errors import ConfigurationError
 from goniometer.store import Store
+from goniometer.tables import BENCH
 
 ENDING = 3
 """Seconds that requests may take to end once the service is told to."""
@@ -50,8 +51,12 @@ def serve(
     listen: Listen,
     *,
     mounts_by_itself: bool = False,
+    bench: str = BENCH,
+    cluster: str | None = None,
 ) -> None:
-    """Serve until SIGTERM or SIGINT; the bench is parked then.
+    """Serve until SIGTERM or SIGINT; the bench, which has the name `bench`, is parked then.
+
+    Heavy work goes to the Dask scheduler `cluster`, if any.
 
     Raises `StoreError` where the database cannot be opened, and `ConfigurationError` where nobody can, or may, listen
     there.
@@ -59,7 +64,7 @@ def serve(
     if (listen.tls_cert is None) != (listen.tls_key is None):
         raise ConfigurationError("--tls-cert and --tls-key belong together; give both, or none")
     tls = listen.tls_cert is not None
-    store = Store.open(database)
+    store = Store.open(database, bench)
     access = check_listen(listen.host, store, tls=tls, behind_proxy=listen.behind_proxy, hosts=listen.names)
     log_as_json()
     with _listening(listen.host, listen.port) as listener:
@@ -70,7 +75,9 @@ def serve(
             # to the terminal and not to the log, which is kept; "goniometer token create" makes another
             print(f"Open {url}/#token={token}", flush=True)
         store.close()
-        with open_live(database, output, settings, url=url, mounts_by_itself=mounts_by_itself) as live:
+        with open_live(
+            database, output, settings, url=url, mounts_by_itself=mounts_by_itself, bench=bench, cluster=cluster
+        ) as live:
             config = uvicorn.Config(
                 make_app(live, access),
                 log_config=None,
@@ -84,7 +91,7 @@ def serve(
             log.info("Serves %s", url)
             for each in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(each, signal.SIG_IGN)  # uvicorn takes them up, and when it has ended raises them again
-            record(live.store, "service", "start", {"url": url})
+            record(live.store, "service", "start", {"url": url, "bench": bench})
             try:
                 _Server(config, live).run([listener])
             finally:

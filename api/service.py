@@ -4,11 +4,10 @@ The command line is a thin face over these functions.
 """
 
 import asyncio
-import multiprocessing
 from collections.abc import AsyncIterator, Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, nullcontext, suppress
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,9 @@ from usb.backend import IBackend
 from analysis.errors import AnalysisError
 from analysis.report import RunFacts
 from api.datasets import make_dataset, too_noisy
-from api.derive import REPORT, Derived, derive, end_with_parent, slug
+from api.derive import REPORT, Derived, Export, derive, slug, write_derived
+from api.errors import ClusterError
+from api.executor import processes
 from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from api.terminal import ask_to_mount
@@ -26,12 +27,12 @@ from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
 from goniometer import look_up
 from goniometer.campaign import Campaign
-from goniometer.dataset import Dataset
 from goniometer.doctor import Bench, Finding, examine, release, visit
 from goniometer.errors import (
     BenchUnfit,
     CalibrationError,
     CertificateError,
+    InputError,
     NotInStore,
     StoreFull,
 )
@@ -248,33 +249,20 @@ async def run(
     *,
     bench: OpenBench | None = None,
     lamp_is_warm: bool = False,
+    cluster: str | None = None,
 ) -> RunResult:
     """Run or resume `campaign`, fit every finished scan and write its files into a folder a scan below `output`.
 
     `settings` of None are those of the simulated bench. A `bench` that is open, and was opened with the same settings,
     is used and left open, so that its lamp stays warm from one campaign to the next; without one the bench is opened
     for this run, and `lamp_is_warm` is the word of an operator who has seen it burn. Fits run in a process of their
-    own while the next sample is measured; a sample that cannot be calibrated or fitted does not stop the others.
-    Raises `StoreBusy` and what `run_campaign` raises.
+    own, or on the Dask scheduler `cluster`, while the next sample is measured; a sample that cannot be calibrated or
+    fitted does not stop the others. Raises `StoreBusy`, and what `api.cluster.connected` and `run_campaign` raise.
     """
     with store.exclusive():
-        return await run_alone(store, campaign, output, settings, watch, bench=bench, lamp_is_warm=lamp_is_warm)
-
-
-@contextmanager
-def _fitting_process() -> Iterator[Executor]:
-    """A process for fits. What it has not finished when something goes wrong is lost, and made in the next run."""
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
-    try:
-        yield executor
-    except BaseException:
-        # nobody would take the result, and a bench that was stopped must not wait for it
-        for process in list((executor._processes or {}).values()):
-            process.kill()
-        raise
-    finally:
-        executor.shutdown(cancel_futures=True)
+        return await run_alone(
+            store, campaign, output, settings, watch, bench=bench, lamp_is_warm=lamp_is_warm, cluster=cluster
+        )
 
 
 async def run_alone(
@@ -286,15 +274,23 @@ async def run_alone(
     *,
     bench: OpenBench | None = None,
     lamp_is_warm: bool = False,
+    cluster: str | None = None,
 ) -> RunResult:
     """As `run`, for who holds `store.exclusive()`."""
     certificate = panel_certificate(campaign, settings)
     check_all(store, campaign, certificate, settings)
     if settings is None:
         campaign = with_materials(campaign)
-    with _fitting_process() as executor:
-        waiting: dict[int, Future[Derived]] = {}
+    # what has not been fitted and written when something goes wrong is made in the next run
+    with ThreadPoolExecutor(1) as writer, ExitStack() as held:
+        executor = await asyncio.to_thread(held.enter_context, processes(cluster, 1))
+        waiting: dict[int, Future[tuple[Derived, tuple[Export, ...]]]] = {}
         failures: list[str] = []
+
+        def start(dataset_id: int, scan: Scan) -> None:
+            fitting = executor.submit(derive, store.dataset(dataset_id), run_facts(store, scan))
+            folder = (output / slug(scan.name)).resolve()
+            waiting[dataset_id] = writer.submit(_written, fitting, folder)
 
         def finished(scan: Scan) -> None:
             try:
@@ -302,7 +298,7 @@ async def run_alone(
             except (CalibrationError, CertificateError) as error:
                 failures.append(f"{scan.name}: {error}")
                 return
-            waiting[made] = start_derivation(executor, store, scan, store.dataset(made), output)
+            start(made, scan)
 
         # a campaign that has begun must not have changed since; a new one is written once the bench answers
         known = campaign.name in store.campaigns().values()
@@ -324,14 +320,14 @@ async def run_alone(
         for scan in store.scans(campaign_id):
             missing = _underived_dataset(store, scan, output)
             if missing is not None and missing not in waiting:
-                waiting[missing] = start_derivation(executor, store, scan, store.dataset(missing), output)
+                start(missing, scan)
         for dataset_id, future in waiting.items():
             measured = store.dataset(dataset_id).sample
             if not future.done():
                 watch.note(f"Fitting {measured}")
             try:
-                keep(store, dataset_id, await asyncio.wrap_future(future))
-            except (AnalysisError, StoreFull) as error:
+                keep(store, dataset_id, *await asyncio.wrap_future(future))
+            except (AnalysisError, StoreFull, ClusterError) as error:
                 failures.append(f"{measured}: {error}")
             except BrokenProcessPool:
                 failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
@@ -354,16 +350,17 @@ def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
     return None if whole else dataset_id
 
 
-def start_derivation(executor: Executor, store: Store, scan: Scan, dataset: Dataset, output: Path) -> "Future[Derived]":
-    """Start fitting `dataset` and writing its files."""
-    return executor.submit(derive, dataset, run_facts(store, scan), (output / slug(scan.name)).resolve())
+def _written(fitting: "Future[Derived]", folder: Path) -> tuple[Derived, tuple[Export, ...]]:
+    """What comes of a fit, once it is there, and its files in `folder`."""
+    derived = fitting.result()
+    return derived, write_derived(derived, folder)
 
 
-def keep(store: Store, dataset_id: int, derived: Derived) -> None:
+def keep(store: Store, dataset_id: int, derived: Derived, exports: tuple[Export, ...]) -> None:
     """Write fits and exports into the database; the report comes last and marks the set as complete."""
     for model, text in derived.fits.items():
         store.add_fit(dataset_id, model, text)
-    for export in derived.exports:
+    for export in exports:
         store.add_export(dataset_id, export.path, export.file_format, export.sha256)
 
 
@@ -386,9 +383,18 @@ def run_facts(store: Store, scan: Scan) -> RunFacts:
     )
 
 
-def active_scan(store: Store) -> Scan:
-    """The scan that is being run; raises `NotInStore` where nothing runs."""
-    if store.in_use():
-        for scan in look_up.scans_in_phases(store, ACTIVE_PHASES):
-            return scan
-    raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
+def active_scan(store: Store, bench: str | None = None) -> Scan:
+    """The scan that is being run, on this bench if one is named.
+
+    Raises `NotInStore` where nothing runs, and `InputError` where several do and no bench is named.
+    """
+    found = {
+        look_up.campaign_row(store, scan.campaign_id).bench: scan
+        for scan in look_up.scans_in_phases(store, ACTIVE_PHASES)
+    }
+    active = {each: scan for each, scan in found.items() if bench in {None, each} and store.in_use(each)}
+    if not active:
+        raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
+    if len(active) > 1:
+        raise InputError(f"Something is running on the benches {', '.join(sorted(active))}; name one with --bench")
+    return next(iter(active.values()))

@@ -28,6 +28,7 @@ from goniometer.duration import DEAD_TIME
 from goniometer.errors import ConfigurationError
 from goniometer.route import Motion, StageMotion
 from goniometer.safety import Forbidden
+from goniometer.tables import BENCH
 from goniometer.wording import key_path, nearest
 
 
@@ -40,6 +41,7 @@ def _ascends(ends: tuple[float, float]) -> tuple[float, float]:
 Range = Annotated[tuple[float, float], AfterValidator(_ascends)]
 """Lowest and highest angle, degrees."""
 SerialNumber = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+BenchName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Uncertainty = NotNegative
@@ -253,6 +255,7 @@ ORDINARY = StageMotion()
 class InstrumentSettings(_Strict):
     """The whole bench."""
 
+    bench: BenchName = Field(default=BENCH, description="its name, which tells it from others on the same database")
     stages: StagesSettings
     spectrometer: SpectrometerSettings = SpectrometerSettings()
     geometry: GeometrySettings = GeometrySettings()

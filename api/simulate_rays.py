@@ -1,10 +1,9 @@
 """`goniometer simulate rays`: a surface on the virtual gonioreflectometer."""
 
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +13,7 @@ from rich.progress import Progress
 
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
+from api.executor import threads
 from api.logged import Logged
 from api.products import conductor_name
 from api.ray_page import chapters, chosen
@@ -21,6 +21,7 @@ from api.ray_results import computed, decomposition, lines, warnings
 from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
 from drivers.arrays import FloatArray
+from goniometer.database import shown_place
 from goniometer.errors import InputError
 from simulators.heights import roughness
 from simulators.ray_decomposition import CONVERGED, Change, coarser, convergence
@@ -47,6 +48,7 @@ def register(app: typer.Typer) -> None:
 
 
 def rays_command(
+    context: typer.Context,
     surface: SurfaceName,
     size: Size = None,
     pitch: Pitch = None,
@@ -77,11 +79,12 @@ def rays_command(
     metal = load_conductor(*conductor_name(conductor))
     wavelengths = _covered(metal)
     theta_in, theta_out = series("--incident", incident), series("--outgoing", outgoing)
+    n, k = metal.index(wavelengths)
     asked = Goniometer(
         theta_in,
         theta_out,
         wavelengths,
-        lambda cosine: fresnel_conductor(cosine, *metal.index(wavelengths)),
+        partial(fresnel_conductor, n=n, k=k),
         0,
         rays,
         seed,
@@ -93,7 +96,7 @@ def rays_command(
     )
     first = made[0]
     rough = roughness(first.field)
-    scan, changes = _measured(made, asked)
+    scan, changes = _measured(made, asked, context.obj)
     minded = warnings(scan, changes, rough, first, micro=micro)
     name = f"{first.name} with micro-roughness" if micro else first.name
     dataset = store_computed(database, computed(f"{name} (rays)", scan, made, metal, minded))
@@ -108,7 +111,7 @@ def rays_command(
             {
                 "dataset": dataset,
                 "sample": f"{name} (rays)",
-                "database": str(database),
+                "database": shown_place(database),
                 "surface": first.origin,
                 "patches": len(made),
                 "roughness": asdict(rough),
@@ -122,7 +125,7 @@ def rays_command(
     out = Console()
     for line in lines(scan, changes):
         out.print(line, markup=False, highlight=False)
-    out.print(f"{name} (rays): dataset {dataset} in {database}", markup=False, highlight=False)
+    out.print(f"{name} (rays): dataset {dataset} in {shown_place(database)}", markup=False, highlight=False)
     if written is not None:
         out.print(f"Wrote {written}", markup=False, highlight=False)
 
@@ -148,7 +151,7 @@ def _patches(name: str, wanted: int | None, make: Callable[[int], Topography]) -
     return [first, *(make(number) for number in range(1, wanted or _PATCHES))]
 
 
-def _measured(made: list[Topography], asked: Goniometer) -> tuple[RayScan, tuple[Change, ...]]:
+def _measured(made: list[Topography], asked: Goniometer, cluster: str | None) -> tuple[RayScan, tuple[Change, ...]]:
     """The scan, and what its figures would change with more of everything."""
     fields = [each.field for each in made]
     fewer = replace(asked, theta_in=asked.theta_in[chosen(asked.theta_in.size, _CHECKED)])
@@ -159,9 +162,8 @@ def _measured(made: list[Topography], asked: Goniometer) -> tuple[RayScan, tuple
         markup=False,
         highlight=False,
     )
-    workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     whole = asked.theta_in.size + fewer.theta_in.size
-    with ThreadPoolExecutor(workers) as executor, _shown() as show:
+    with threads(cluster) as executor, _shown() as show:
         scan = ray_scan(
             [terrain(field) for field in fields],
             asked,

@@ -1,10 +1,7 @@
 """`goniometer simulate waves`: the in-plane spectral BRDF of a surface by scalar wave optics."""
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,13 +13,14 @@ from analysis.analyse import analyse
 from analysis.fresnel import load_conductor
 from analysis.local_fit import LEAST_WAVELENGTHS
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.derive import end_with_parent
+from api.executor import processes
 from api.logged import Logged
 from api.products import conductor_name
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
 from api.terminal import screen
 from api.wave_page import page_body
 from drivers.arrays import FloatArray
+from goniometer.database import shown_place
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
 from simulators.computed import computed_dataset
@@ -53,6 +51,7 @@ def register(app: typer.Typer) -> None:
 
 
 def waves_command(
+    context: typer.Context,
     surface: SurfaceName,
     size: Side = None,
     pitch: Step = None,
@@ -108,10 +107,9 @@ def waves_command(
     setup = Setup(theta_in, theta_out, nm, _coherence(aperture, coherence), kernel, metal)
     chosen = choose_patches(surface, size, pitch, seed, patches, micro=micro)
     workers = min(os.cpu_count() or 1, patches)
-    context = multiprocessing.get_context("spawn")
     with (
         Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress,
-        ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as executor,
+        processes(context.obj, workers) as executor,
     ):
         bar = progress.add_task(f"waves on {chosen.name}", total=None)
 
@@ -158,12 +156,12 @@ def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
     return seen_through(wanted)
 
 
-def _content(dataset_id: int, database: Path, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
+def _content(dataset_id: int, database: str, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
     """The result as JSON."""
     return {
         "dataset": dataset_id,
         "sample": found.computed.sample,
-        "database": str(database),
+        "database": shown_place(database),
         "lineage": found.computed.lineage,
         "aperture_deg": equivalent_aperture(setup.coherence.s_um),
         "sampling": asdict(found.sampling) | {"sufficient": found.sampling.sufficient},

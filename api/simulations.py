@@ -54,7 +54,7 @@ def series(option: str, text: str) -> FloatArray:
     return np.asarray(values, dtype=float)
 
 
-def store_computed(database: Path, computed: Computed) -> int:
+def store_computed(database: Path | str, computed: Computed) -> int:
     """Put a simulated BRDF into a database, as a dataset of no scan, and return its id."""
     return Store.open(database).add_dataset(None, computed_dataset(computed))
 

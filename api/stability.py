@@ -1,11 +1,6 @@
 """The map of where fits converge, degrade and break, and whether they say so: as JSON and as a page."""
 
 import math
-import multiprocessing
-import os
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict
 from html import escape
 from itertools import groupby
@@ -13,7 +8,6 @@ from typing import Any
 
 from analysis.page import figure
 from analysis.stability_figure import MapCell, stability_map
-from api.derive import end_with_parent
 from simulators.ensemble import Cell
 from simulators.regimes import REGIMES
 from simulators.stability import METHODS, Run
@@ -24,16 +18,6 @@ HOW_TO_READ = (
     "right / trusted, in per cent: how many came out as near to the truth as is of use (– where nothing has a truth), "
     "and how many have a good verdict"
 )
-
-
-@contextmanager
-def fitting_processes(count: int | None) -> Iterator[ProcessPoolExecutor]:
-    """Processes of one thread each: several fits at once do more than one fit on several threads."""
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent) as executor:
-        yield executor
 
 
 def none_of(found: list[Cell]) -> str:
@@ -134,10 +118,15 @@ def _details(found: list[Cell]) -> str:
     )
 
 
-def stability_content(found: list[Cell], silent: list[Run]) -> dict[str, Any]:
-    """The map as JSON content."""
+def stability_content(found: list[Cell], runs: list[Run]) -> dict[str, Any]:
+    """The map as JSON content, with all `runs` that it was made of."""
     return {
         "regimes": {each.name: each.about for each in REGIMES.values()},
         "cells": [asdict(cell) for cell in found],
-        "silent_failures": [asdict(each) for each in silent],
+        "silent_failures": [_run(each) for each in runs if each.silent],
+        "runs": [_run(each) for each in runs],
     }
+
+
+def _run(each: Run) -> dict[str, Any]:
+    return asdict(each) | {"job": each.job._asdict()}

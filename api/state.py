@@ -91,6 +91,7 @@ class Running(_Model):
 class BenchState(_Model):
     """The whole bench."""
 
+    name: str = Field(description="Tells it from other benches on the same database.")
     phase: BenchPhase
     doing: str = Field(description="In words, what it does or why it does nothing.")
     possible: tuple[str, ...] = Field(description="Commands that are obeyed now.")

@@ -66,7 +66,7 @@ class _Worker:
     def __init__(self, connection: Connection, task: Task) -> None:
         self.connection = connection
         self.task = task
-        self.store = Store.open(task.database)
+        self.store = Store.open(task.database, task.bench)
         self.bench = OperatedBench(task.settings, self.tell_state)
         self.lease: Lease | None = None
         self.driving: Lease | None = None
@@ -329,6 +329,7 @@ class _Worker:
         spectrum = None if instrument is None else instrument.last_spectrum
         lamp = -1.0 if instrument is None else instrument.lamp_on_for
         return BenchState(
+            name=self.task.bench,
             phase=bench.phase,
             doing=bench.doing if here else self._elsewhere() + ".",
             possible=POSSIBLE[bench.phase] if here else ("stop",),

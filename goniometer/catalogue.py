@@ -5,12 +5,13 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
-from sqlalchemy import CompoundSelect, Row, Select, func, select
+from sqlalchemy import CompoundSelect, Row, ScalarSelect, Select, func, select
 
 from goniometer import tables
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.database import Database
 from goniometer.dataset import Dataset, Flag, Kind
+from goniometer.service_tables import queue
 
 Order = Literal["newest", "oldest"]
 
@@ -46,6 +47,10 @@ class Entry:
     campaign_id: int | None
     campaign: str | None
     """Name of the campaign."""
+    bench: str | None
+    """Name of the bench; None where no campaign measured it."""
+    operator: str | None
+    """Who put the campaign into the queue of a service; None where no service measured it."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,10 @@ class Wanted:
     """ISO 8601 in UTC: made then or later."""
     until: str | None = None
     """Made before."""
+    operator: str | None = None
+    """Who put its campaign into the queue."""
+    passed: bool | None = None
+    """Those whose checks all passed, or those of which any failed."""
 
 
 def facts_of(dataset: Dataset) -> dict[str, object]:
@@ -105,6 +114,10 @@ class Catalogue(Database):
             query = query.where(here.created >= wanted.since)
         if wanted.until is not None:
             query = query.where(here.created < wanted.until)
+        if wanted.operator is not None:
+            query = query.where(_operator() == wanted.operator)
+        if wanted.passed is not None:
+            query = query.where(here.checks_failed == 0 if wanted.passed else here.checks_failed > 0)
         newest = order == "newest"
         if after is not None:
             query = query.where(here.id < after if newest else here.id > after)
@@ -165,9 +178,21 @@ def _called(name: str) -> CompoundSelect[Any]:
 
 def _entries() -> Select[Any]:
     columns = [column for column in tables.datasets.c if column.name in {field.name for field in fields(Entry)}]
-    of_campaign = tables.scans.c.campaign_id, tables.campaigns.c.name.label("campaign")
+    of_campaign = (
+        tables.scans.c.campaign_id,
+        tables.campaigns.c.name.label("campaign"),
+        tables.campaigns.c.bench,
+        _operator().label("operator"),
+    )
     joined = tables.datasets.outerjoin(tables.scans).outerjoin(tables.campaigns)
     return select(*columns, *of_campaign).select_from(joined)
+
+
+def _operator() -> ScalarSelect[Any]:
+    """Who ordered the campaign of a dataset last."""
+    here = queue.c
+    mine = select(here.who).where(here.campaign_id == tables.scans.c.campaign_id)
+    return mine.order_by(here.id.desc()).limit(1).correlate(tables.scans).scalar_subquery()
 
 
 def _entry(row: Row[Any]) -> Entry:

@@ -163,6 +163,7 @@ class Derived(Catalogue):
             return insert_row(
                 connection,
                 tables.characterisations,
+                bench=self.bench,
                 kind=kind,
                 json=text,
                 software_version=software_version(),
@@ -175,4 +176,4 @@ class Derived(Catalogue):
         query = select(table).order_by(table.c.id)
         if kind is not None:
             query = query.where(table.c.kind == kind)
-        return [Characterisation(row.id, row.kind, row.json, row.created) for row in self.rows(query)]
+        return [Characterisation(row.id, row.kind, row.json, row.created, row.bench) for row in self.rows(query)]

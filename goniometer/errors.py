@@ -10,6 +10,7 @@ GoniometerError
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
+│   ├── RawDamaged        a raw exposure is not as it was written
 │   ├── StoreOutdated     its tables are those of an older version of this program
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ConditionsUnmet       what must hold before a scan did not in time
@@ -72,6 +73,17 @@ class StoreFull(StoreError):
 
 class StoreOutdated(StoreError):
     """The tables are those of an older version of this program; they can be upgraded."""
+
+
+class RawDamaged(StoreError):
+    """The raw exposure `exposure_id` is not as it was written."""
+
+    def __init__(self, exposure_id: int) -> None:
+        super().__init__(
+            f"Exposure {exposure_id} is not as it was written: the database was damaged or changed from outside; "
+            f"restore it from a backup (goniometer db restore), and see with goniometer db check what else is wrong"
+        )
+        self.exposure_id = exposure_id
 
 
 class NotInStore(StoreError):

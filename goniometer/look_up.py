@@ -5,11 +5,31 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Select, and_, case, exists, func, select
+from sqlalchemy import BindParameter, Select, and_, bindparam, case, exists, func, select
 
 from goniometer import tables
 from goniometer.database import Database
 from goniometer.records import Exposure, Phase, Point, Scan, to_exposure, to_point, to_scan
+
+# Built once, for pages ask all the time while a scan runs.
+_POINT = tables.points.c
+_SCANS: BindParameter[Any] = bindparam("scans", expanding=True)
+_COUNTED = (
+    select(_POINT.scan_id, _POINT.status, func.count().label("number"))
+    .where(_POINT.scan_id.in_(_SCANS))
+    .group_by(_POINT.scan_id, _POINT.status)
+)
+_MADE = (
+    select(tables.datasets.c.id, tables.datasets.c.scan_id)
+    .where(tables.datasets.c.scan_id.in_(_SCANS))
+    .order_by(tables.datasets.c.id)
+)
+_POINTS = (
+    select(tables.points)
+    .where(_POINT.scan_id == bindparam("scan"), _POINT.number > bindparam("after"))
+    .order_by(_POINT.number)
+    .limit(bindparam("limit"))
+)
 
 
 @dataclass(frozen=True)
@@ -35,6 +55,8 @@ class CampaignRow:
     """SHA-256 of what decides what is measured."""
     created: str
     """ISO 8601, UTC."""
+    bench: str
+    """Name of the bench on which it is measured."""
 
 
 @cache  # to build it takes longer than to ask it
@@ -49,6 +71,13 @@ def scan_rows() -> Select[Any]:
     place = select(func.count()).where(alike, other.number <= here.number).scalar_subquery()
     columns = [column for column in here if column.name != "constants"]
     return select(*columns, case((count > 1, place)).label("repeat"))
+
+
+@cache
+def listed_scans() -> tuple[Select[Any], Select[Any]]:
+    """All scans, and those of the campaign "campaign", in the order in which they are run."""
+    every = scan_rows().order_by(tables.scans.c.campaign_id, tables.scans.c.number)
+    return every, every.where(tables.scans.c.campaign_id == bindparam("campaign"))
 
 
 def scans_after(database: Database, scan_id: int, limit: int, campaign_id: int | None = None) -> list[Scan]:
@@ -87,43 +116,57 @@ def uncalibrated_scans(database: Database) -> list[Scan]:
 def campaign_rows(database: Database, after: int, limit: int) -> list[CampaignRow]:
     """At most `limit` campaigns with ids above `after`, oldest first."""
     here = tables.campaigns.c
-    query = select(here.id, here.name, here.hash, here.created).where(here.id > after).order_by(here.id).limit(limit)
-    return [CampaignRow(row.id, row.name, row.hash, row.created) for row in database.rows(query)]
+    query = (
+        select(here.id, here.name, here.hash, here.created, here.bench)
+        .where(here.id > after)
+        .order_by(here.id)
+        .limit(limit)
+    )
+    return [CampaignRow(row.id, row.name, row.hash, row.created, row.bench) for row in database.rows(query)]
 
 
 def campaign_row(database: Database, campaign_id: int) -> CampaignRow:
     """One campaign; raises `NotInStore`."""
     here = tables.campaigns.c
-    query = select(here.id, here.name, here.hash, here.created).where(here.id == campaign_id)
+    query = select(here.id, here.name, here.hash, here.created, here.bench).where(here.id == campaign_id)
     row = database.row(query, f"campaign {campaign_id}")
-    return CampaignRow(row.id, row.name, row.hash, row.created)
+    return CampaignRow(row.id, row.name, row.hash, row.created, row.bench)
 
 
 def point_counts(database: Database, scan_ids: Sequence[int]) -> dict[int, Counts]:
     """How many points these scans have, by their ids; scans without any are left out."""
-    here = tables.points.c
-    numbers = [
-        func.sum(case((here.status.in_(statuses), 1), else_=0))
-        for statuses in (("done",), ("failed", "skipped"), ("pending", "running"))
-    ]
-    query = select(here.scan_id, *numbers).where(here.scan_id.in_(scan_ids)).group_by(here.scan_id)
-    return {row[0]: Counts(*map(int, row[1:])) for row in database.rows(query)}
+    found: dict[int, dict[str, int]] = {}
+    for row in database.rows(_COUNTED, {"scans": scan_ids}):
+        found.setdefault(row.scan_id, {})[row.status] = row.number
+    return {scan_id: _counts(**counted) for scan_id, counted in found.items()}
+
+
+def _counts(done: int = 0, failed: int = 0, skipped: int = 0, pending: int = 0, running: int = 0) -> Counts:
+    return Counts(done, failed + skipped, pending + running)
 
 
 def datasets_of(database: Database, scan_ids: Sequence[int]) -> dict[int, list[int]]:
     """Ids of the datasets of these scans, oldest first, by the ids of the scans; scans without any are left out."""
-    here = tables.datasets.c
     found: dict[int, list[int]] = {}
-    for row in database.rows(select(here.id, here.scan_id).where(here.scan_id.in_(scan_ids)).order_by(here.id)):
+    for row in database.rows(_MADE, {"scans": scan_ids}):
         found.setdefault(row.scan_id, []).append(row.id)
     return found
 
 
+def detector_temperatures(database: Database, scan_ids: Sequence[int]) -> dict[int, tuple[float, float, float]]:
+    """Mean, lowest and highest detector temperature of all exposures of these scans, degrees Celsius, by their ids."""
+    here = tables.exposures.c
+    value = here.detector_temperature
+    told = select(
+        here.scan_id, func.avg(value).label("mean"), func.min(value).label("low"), func.max(value).label("high")
+    )
+    query = told.where(here.scan_id.in_(scan_ids)).group_by(here.scan_id)
+    return {row.scan_id: (float(row.mean), float(row.low), float(row.high)) for row in database.rows(query)}
+
+
 def points_after(database: Database, scan_id: int, after: int, limit: int) -> list[Point]:
     """At most `limit` points of a scan with numbers above `after`, in the order in which the plan asked for them."""
-    here = tables.points.c
-    query = select(tables.points).where(here.scan_id == scan_id, here.number > after).order_by(here.number).limit(limit)
-    return [to_point(row) for row in database.rows(query)]
+    return [to_point(row) for row in database.rows(_POINTS, {"scan": scan_id, "after": after, "limit": limit})]
 
 
 def point(database: Database, point_id: int) -> Point:

@@ -1,9 +1,11 @@
 """What the rows of the database are in Python, and how the one becomes the other."""
 
+import hashlib
 import io
 import json
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -16,7 +18,7 @@ from drivers.interfaces import Spectrum
 from goniometer.campaign import numbered
 from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset
-from goniometer.errors import StoreError
+from goniometer.errors import RawDamaged, StoreError
 from goniometer.geometry import Geometry
 from goniometer.uncertainty import ErrorSource
 
@@ -162,6 +164,8 @@ class Characterisation:
     json: str
     created: str
     """ISO 8601 in UTC."""
+    bench: str
+    """Name of the bench."""
 
 
 def now() -> str:
@@ -169,9 +173,12 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+_OF_SCAN = tuple(field.name for field in fields(Scan))
+
+
 def to_scan(row: Row[Any]) -> Scan:
     """A row of `tables.scans` with its `repeat`."""
-    values = {field.name: getattr(row, field.name) for field in fields(Scan)}
+    values = {name: getattr(row, name) for name in _OF_SCAN}
     if row.remaining is not None:
         values["remaining"] = Expected(row.remaining, row.remaining_low, row.remaining_high)
     return Scan(**values)
@@ -196,7 +203,9 @@ def to_point(row: Row[Any]) -> Point:
 
 
 def to_exposure(row: Row[Any]) -> Exposure:
-    """A row of `tables.exposures`."""
+    """A row of `tables.exposures`; raises `RawDamaged` where it is not as it was written."""
+    if exposure_hash(row._mapping) != row.sha256:
+        raise RawDamaged(row.id)
     counts = np.frombuffer(row.counts, dtype="<u4").astype(np.uint32)
     return Exposure(
         row.id,
@@ -224,21 +233,49 @@ def exposure_row(
     theta_out_end: float | None = None,
 ) -> dict[str, object]:
     """Values of a new row of `tables.exposures`; counts are kept as little-endian u32."""
-    return {
+    row: dict[str, object] = {
         "scan_id": scan_id,
         "point_id": point_id,
         "kind": kind,
-        "theta_in": None if geometry is None else geometry.theta_in,
-        "theta_out": None if geometry is None else geometry.theta_out,
-        "theta_out_end": theta_out_end,
+        "theta_in": None if geometry is None else _as_kept(geometry.theta_in),
+        "theta_out": None if geometry is None else _as_kept(geometry.theta_out),
+        "theta_out_end": None if theta_out_end is None else _as_kept(theta_out_end),
         "session": session,
-        "moment": moment,
-        "integration_time": spectrum.integration_time,
+        "moment": _as_kept(moment),
+        "integration_time": _as_kept(spectrum.integration_time),
         "counts": spectrum.counts.astype("<u4").tobytes(),
-        "device_count": spectrum.count,
-        "detector_temperature": spectrum.detector_temperature,
+        "device_count": int(spectrum.count),
+        "detector_temperature": _as_kept(spectrum.detector_temperature),
         "taken": now(),
     }
+    return row | {"sha256": exposure_hash(row)}
+
+
+_HASHED = (
+    "kind",
+    "integration_time",
+    "device_count",
+    "detector_temperature",
+    "theta_in",
+    "theta_out",
+    "theta_out_end",
+    "session",
+    "moment",
+    "taken",
+)
+
+
+def _as_kept(number: float) -> float:
+    return float(number) + 0.0  # SQLite makes 0.0 of -0.0, and the hash is of what is read again
+
+
+def exposure_hash(row: Mapping[Any, Any]) -> str:
+    """SHA-256 of a row of `tables.exposures`: of the canonical JSON of what was read beside the counts, and the counts.
+
+    Numbers of rows are not in it, for what was read does not depend on them.
+    """
+    told = json.dumps([row[name] for name in _HASHED], separators=(",", ":"))
+    return hashlib.sha256(told.encode() + b"\n" + row["counts"]).hexdigest()
 
 
 _DATASET_ARRAYS = ("theta_in", "theta_out", "wavelengths", "brdf", "flags")

@@ -2,14 +2,14 @@
 worked at.
 
 users 1-n tokens 1-n sessions; a session that began with a password belongs to no token. Secrets are kept as hashes
-only. The log names people in words, so that it outlives them. The lease has one row; an entry of the queue holds its
-campaign as it was ordered, and the id of the one that was begun from it. A job
-names what it was asked for; certificates are those that somebody handed in.
+only. The log names people in words, so that it outlives them. The lease has one row a bench; an entry of the queue
+holds its campaign as it was ordered, and the id of the one that was begun from it. A job names what it was asked for;
+certificates are those that somebody handed in.
 """
 
 from sqlalchemy import Boolean, CheckConstraint, Column, Float, ForeignKey, Index, Integer, String, Table, Text
 
-from goniometer.tables import ONLY_ADDED, metadata
+from goniometer.tables import BENCH, ONLY_ADDED, metadata
 
 _ROLES = "role IN ('viewer', 'operator', 'metrologist', 'admin')"
 
@@ -123,7 +123,7 @@ lease = Table(
     Column("url", String, nullable=False),
     Column("taken", String, nullable=False),
     Column("stop", Boolean, nullable=False, default=False),
-    CheckConstraint("id = 1"),
+    Column("bench", String, nullable=False, unique=True, server_default=BENCH),
 )
 
 queue = Table(
@@ -143,6 +143,7 @@ queue = Table(
     Column("ordered", String),
     Column("started", String),
     Column("finished", String),
+    Column("bench", String, nullable=False, server_default=BENCH),
     CheckConstraint("phase IN ('idle', 'queued', 'running', 'finished')"),
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("(phase = 'finished') = (outcome IS NOT NULL)"),

@@ -60,14 +60,19 @@ class Store(Derived):
         `certificate` is the text of the panel's where the campaign names no file. A campaign of this name that has no
         point yet gives way to a changed one; of one that has, only who overrides its certificate may change. Each
         sample is followed by a spot scan where homogeneity is asked for. Raises `CampaignError` when a campaign that
-        has begun was started with other content or another certificate, `CertificateError` when the certificate
-        cannot be read.
+        has begun was started with other content or another certificate, or is one of another bench, `CertificateError`
+        when the certificate cannot be read.
         """
         path = campaign.reference.certificate
         certificate = certificate if path is None else read_certificate(Path(path))
-        with self.writing() as connection:
+        with self.alone() as connection:
             known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
             if known is not None:
+                if known.bench != self.bench:
+                    raise CampaignError(
+                        f'The campaign "{campaign.name}" in {self.where} belongs to the bench {known.bench}; run it '
+                        f"there, or give this one another name"
+                    )
                 mine = tables.scans.c.campaign_id == known.id
                 if known.hash == campaign.hash and known.certificate == certificate:
                     # a certificate may have expired since, and somebody answers for it
@@ -99,6 +104,7 @@ class Store(Derived):
                 hash=campaign.hash,
                 certificate=certificate,
                 created=now(),
+                bench=self.bench,
             )
             kinds = ("sample",) if campaign.homogeneity is None else ("sample", "spot")
             things: list[tuple[str, str, str]] = []
@@ -135,17 +141,20 @@ class Store(Derived):
         """Name of every campaign by its id, oldest first."""
         return {row.id: row.name for row in self.rows(select(tables.campaigns).order_by(tables.campaigns.c.id))}
 
+    def benches(self) -> dict[int, str]:
+        """Name of the bench of every campaign by its id, oldest first."""
+        here = tables.campaigns.c
+        return {row.id: row.bench for row in self.rows(select(here.id, here.bench).order_by(here.id))}
+
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
         return to_scan(self.row(look_up.scan_rows().where(tables.scans.c.id == scan_id), f"scan {scan_id}"))
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        here = tables.scans.c
-        query = look_up.scan_rows().order_by(here.campaign_id, here.number)
-        if campaign_id is not None:
-            query = query.where(here.campaign_id == campaign_id)
-        return [to_scan(row) for row in self.rows(query)]
+        every, of_one = look_up.listed_scans()
+        rows = self.rows(every) if campaign_id is None else self.rows(of_one, {"campaign": campaign_id})
+        return [to_scan(row) for row in rows]
 
     def reference_scan(self, scan_id: int) -> Scan:
         """The last reference scan of its campaign up to `scan_id`, which serves it; raises `NotInStore`."""
@@ -181,16 +190,17 @@ class Store(Derived):
             )
 
     def end_stale_scans(self) -> None:
-        """Note that scans whose process was killed have ended; only for who holds `exclusive`."""
+        """Note that scans of this bench whose process was killed have ended; only for who holds `exclusive`."""
         for scan in look_up.scans_in_phases(self, ACTIVE_PHASES):
-            self.finish_scan(scan.id, "aborted", _STALE)
+            if look_up.campaign_row(self, scan.campaign_id).bench == self.bench:
+                self.finish_scan(scan.id, "aborted", _STALE)
 
     def request(self, scan_id: int, command: Command) -> None:
         """Ask the process that runs a scan to pause (after the point in hand), to resume, or to abort (at once).
 
         Nothing takes back an abort. Raises `NotInStore` where the scan is not being run, or is being aborted.
         """
-        if not self.in_use():
+        if not self.in_use(self.benches()[self.scan(scan_id).campaign_id]):
             raise NotInStore(
                 f"Scan {scan_id} cannot {command}, because no process runs it; run its campaign to go on where it stood"
             )

@@ -2,13 +2,14 @@
 
 campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a point (darks, stray light, monitors,
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
-characterisations of the bench stand alone. What the service needs besides stands in `goniometer.service_tables`.
-Exposures and everything derived are only ever added: in SQLite, triggers refuse to change or delete them. Times are
-ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench that measured; those of two sessions
-cannot be compared.
+characterisations of a bench stand alone. A campaign is measured on one bench, whose name it has. What the service needs
+besides stands in `goniometer.service_tables`. Exposures and everything derived are only ever added: triggers refuse to
+change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench
+that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
+    BigInteger,
     CheckConstraint,
     Column,
     Connection,
@@ -31,10 +32,14 @@ from sqlalchemy import (
 from goniometer import migrations
 from goniometer.errors import StoreError, StoreOutdated
 from goniometer.only_added import protect
+from goniometer.postgresql import key, lock_transaction
 
 APPLICATION = "goniometer"
 OLD_VERSION = 8
 """What `about` tells programs from before `goniometer.migrations`, which refuse it; it never changes again."""
+
+BENCH = "bench"
+"""The name of a bench that was given no other."""
 
 metadata = MetaData()
 
@@ -57,6 +62,7 @@ campaigns = Table(
     Column("hash", String, nullable=False),
     Column("certificate", Text),
     Column("created", String, nullable=False),
+    Column("bench", String, nullable=False, server_default=BENCH),
 )
 
 scans = Table(
@@ -114,8 +120,9 @@ exposures = Table(
     Column("point_id", ForeignKey("points.id")),
     Column("kind", String, nullable=False),
     Column("integration_time", Float, nullable=False),
+    Column("sha256", String, nullable=False),  # of all that was read, see `goniometer.records.exposure_hash`
     Column("counts", LargeBinary, nullable=False),
-    Column("device_count", Integer, nullable=False),
+    Column("device_count", Integer().with_variant(BigInteger, "postgresql"), nullable=False),  # unsigned, of 32 bits
     Column("detector_temperature", Float, nullable=False),
     Column("theta_in", Float),
     Column("theta_out", Float),
@@ -186,6 +193,7 @@ characterisations = Table(
     "characterisations",
     metadata,
     Column("id", Integer, primary_key=True),
+    Column("bench", String, nullable=False, server_default=BENCH),
     Column("kind", String, nullable=False),
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
@@ -205,7 +213,11 @@ def prepare(engine: Engine, where: str) -> None:
     if not names:
         # Python's driver opens no transaction before CREATE TABLE, so each table would stay on its own.
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            connection.exec_driver_sql("BEGIN IMMEDIATE" if engine.dialect.name == "sqlite" else "BEGIN")
+            if engine.dialect.name == "sqlite":
+                connection.exec_driver_sql("BEGIN IMMEDIATE")
+            else:
+                connection.exec_driver_sql("BEGIN")
+                lock_transaction(connection, key("tables"), shared=False)
             if not inspect(connection).get_table_names():  # another process may have been faster
                 _create(connection)
             connection.exec_driver_sql("COMMIT")  # without it, closing the connection rolls back

@@ -40,7 +40,7 @@ def upgrade(where: Path | str) -> Upgraded:
                 f"{database.where} was written by a newer version of this program, which calls its tables {revision}; "
                 f"install that version"
             )
-        with database.exclusive():
+        with database.exclusive(everywhere=True):
             backup = None
             if database.file is not None:
                 moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")

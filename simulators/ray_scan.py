@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,22 +98,23 @@ def ray_scan(
 ) -> RayScan:
     """Scan patches of one kind of surface; `progress` hears the share of the work that is done.
 
-    The result depends on nothing but `surfaces` and `asked`.
+    A window is a task of `executor`. The result depends on nothing but `surfaces` and `asked`.
     """
     table = tabulated(asked.reflectance)
-    parts = list(product(range(len(surfaces)), range(WINDOWS**2), range(_HALVES)))
-    rays = max(2, -(-asked.rays // len(parts)))
-    shape = (len(parts) // _HALVES, _HALVES)
+    windows = len(surfaces) * WINDOWS**2
+    rays = max(2, -(-asked.rays // (windows * _HALVES)))
+    shape = (windows, _HALVES)
+    places = product(asked.theta_in.tolist(), range(len(surfaces)), range(WINDOWS**2))
+    traced = executor.map(partial(_window, surfaces, asked, table, rays), *zip(*places, strict=True))
     found = []
-    for place, theta_in in enumerate(asked.theta_in):
-        one = partial(_part, surfaces, asked, table, rays, float(theta_in))
+    for place in range(asked.theta_in.size):
         measured = []
-        for number, part in enumerate(executor.map(one, *zip(*parts, strict=True))):
-            measured.append(part)
-            progress((place + (number + 1) / len(parts)) / asked.theta_in.size)
+        for number, halves in enumerate(islice(traced, windows)):
+            measured += halves
+            progress((place + (number + 1) / windows) / asked.theta_in.size)
         total, by_order, light, ends, escaped = (np.stack(each) for each in zip(*measured, strict=True))
         # a direction that no ray met is no proof of darkness: one ray of weight one would have given this
-        alone = 1 / (rays * len(parts) * np.cos(np.radians(asked.theta_out)) * _solid_angle(asked.aperture))
+        alone = 1 / (rays * windows * _HALVES * np.cos(np.radians(asked.theta_out)) * _solid_angle(asked.aperture))
         spectra = _mean_and_errors(total.reshape(*shape, *total.shape[1:]).mean(axis=1), alone)
         found.append((*spectra, by_order, light, ends.sum(axis=0), escaped.sum(axis=0)))
     brdf, u_level, u_spectral, by_order, light, ends, escaped = (np.stack(each) for each in zip(*found, strict=True))
@@ -126,7 +127,7 @@ def ray_scan(
         light=np.moveaxis(light, 0, 1).reshape(*shape, *light.shape[:1], *light.shape[2:]),
         ends=ends,
         escaped=escaped,
-        traced=rays * len(parts),
+        traced=rays * windows * _HALVES,
     )
 
 
@@ -150,7 +151,11 @@ def window(surface: Terrain, number: int, theta_in: float, azimuth: float) -> En
     return float(x[0]), float(y[0]), float(x[1]), float(y[1])
 
 
-def _part(
+_Half = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]
+"""[outgoing, wavelengths] BRDF, that by orders, light by orders, rays by their ends and by orders: of one half."""
+
+
+def _window(
     surfaces: Sequence[Terrain],
     asked: Goniometer,
     table: FloatArray,
@@ -158,12 +163,24 @@ def _part(
     theta_in: float,
     patch: int,
     number: int,
+) -> list[_Half]:
+    """Both halves of one window; a pure function of its arguments."""
+    return [_half(surfaces[patch], asked, table, rays, theta_in, patch, number, half) for half in range(_HALVES)]
+
+
+def _half(
+    surface: Terrain,
+    asked: Goniometer,
+    table: FloatArray,
+    rays: int,
+    theta_in: float,
+    patch: int,
+    number: int,
     half: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-    """[outgoing, wavelengths] BRDF, that by orders, light by orders, rays by their ends and by orders: of one half."""
+) -> _Half:
     key = [asked.seed, patch, number, half, round(1000 * theta_in)]
     scan = collected(
-        surfaces[patch],
+        surface,
         theta_in,
         asked.theta_out,
         table,
@@ -172,7 +189,7 @@ def _part(
         asked.aperture,
         asked.azimuth,
         LIMIT,
-        window(surfaces[patch], number, theta_in, asked.azimuth),
+        window(surface, number, theta_in, asked.azimuth),
     )
     by_side = np.stack([scan.reflected - scan.forward, scan.forward], axis=1)[1:]
     light = np.concatenate([by_side[: ORDERS - 1], by_side[ORDERS - 1 :].sum(axis=0, keepdims=True)])

@@ -2,6 +2,8 @@
 
 import os
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -14,3 +16,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with the most slow tests come first: one that is left for the end would run alone."""
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -slow[item.path])
+
+
+@pytest.fixture(scope="session")
+def postgresql(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Address of a PostgreSQL server."""
+    from tests.databases import start_server  # noqa: PLC0415  (loads the store, after the threads are set)
+
+    shared = tmp_path_factory.getbasetemp()
+    return start_server(shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path | str]:
+    """A database of either kind, as `Store.open` takes it."""
+    if request.param == "sqlite":
+        yield tmp_path / "bench.db"
+        return
+    from tests.databases import fresh_database  # noqa: PLC0415
+
+    with fresh_database(request.getfixturevalue("postgresql")) as url:
+        yield url

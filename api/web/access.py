@@ -3,17 +3,19 @@
 import ipaddress
 import socket
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, cast
 
 from fastapi import Depends, Request
 
 from api.accounts import Role, all_users, at_least
+from api.callers import Shown
 from api.errors import NotAllowed, Unauthorised
-from api.tokens import Caller, session_caller, token_caller
+from api.tokens import Caller
 from goniometer.database import Database
 from goniometer.errors import ConfigurationError
 
-__all__ = ["LOCAL", "Access", "Caller", "caller_of", "check_listen", "cookie_name", "is_loopback", "needs"]
+__all__ = ["LOCAL", "Access", "Caller", "check_listen", "cookie_name", "is_loopback", "needs", "shown_by"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,7 @@ class Access:
         A page of another site can make a name of its own lead here, but no number and none of ours.
         """
         name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
-        known = {"localhost", socket.gethostname().lower(), *self.hosts}
-        return name.lower() in known or _address(name) is not None
+        return _names_us(name.lower(), self.hosts)
 
 
 LOCAL = Access(loopback=True, secure=False)
@@ -58,20 +59,14 @@ def needs(role: Role) -> Any:
     return Depends(caller)
 
 
-def caller_of(request: Request, store: Database, access: Access) -> Caller | None:
-    """Whom the token or the session of a request belongs to; None where it brings neither or the session has ended.
-
-    Raises `Unauthorised` for a token that is none, whatever session comes with it.
-    """
+def shown_by(request: Request, access: Access) -> Shown | None:
+    """What a request brings to show who asks; a token goes before a session, and None is neither."""
     given = request.headers.get("authorization")
     if given is not None:
         scheme, _, token = given.partition(" ")
-        caller = token_caller(store, token.strip()) if scheme.lower() == "bearer" else None
-        if caller is None:
-            raise Unauthorised("This token opens nothing here: it was revoked, has expired, or never was one")
-        return caller
+        return "token", token.strip() if scheme.lower() == "bearer" else ""
     session = request.cookies.get(cookie_name(access))
-    return None if session is None else session_caller(store, session)
+    return None if session is None else ("session", session)
 
 
 def cookie_name(access: Access) -> str:
@@ -106,6 +101,11 @@ def is_loopback(host: str) -> bool:
     """Whether an address to listen on can be reached from this machine only."""
     address = _address(host)
     return host == "localhost" or (address is not None and address.is_loopback)
+
+
+@lru_cache(maxsize=64)
+def _names_us(name: str, hosts: frozenset[str]) -> bool:
+    return name in {"localhost", socket.gethostname().lower(), *hosts} or _address(name) is not None
 
 
 def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

@@ -34,6 +34,7 @@ from api.web import (
     users,
 )
 from api.web.access import LOCAL, Access
+from api.web.answers import Answers
 from api.web.gate import Gate
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
@@ -91,10 +92,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
     )
     app.state.live, app.state.access = live, access
     app.state.logins = CapacityLimiter(2)
+    app.state.answers = Answers(live)
     install(app)
     app.state.metrics = metrics.Metrics(live)
     # the last is the first to see a request
-    app.add_middleware(Gate, store=live.store, access=access)
+    app.add_middleware(Gate, store=live.store, callers=live.callers, access=access)
     app.add_middleware(pages.Careful)
     app.add_middleware(metrics.Counted, metrics=app.state.metrics)
     for router in ROUTERS:

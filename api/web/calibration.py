@@ -19,6 +19,7 @@ from api.certificates import (
 from api.job_arguments import RecalibrateArguments, RecalibrationAsked
 from api.live import Live
 from api.views.calibration import Reference, reference_view
+from api.views.history import History, history
 from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
@@ -66,6 +67,7 @@ class CharacterisationView(BaseModel):
     id: int
     kind: str = Field(examples=["signature"])
     created: str = Field(description="ISO 8601, UTC.")
+    bench: str = Field(description="Name of the bench.")
     content: dict[str, Any] = Field(description="As `goniometer characterise --json` prints it.")
 
 
@@ -101,11 +103,23 @@ def references(live: Here, caller: Viewer, after: After = None) -> Page[Referenc
     return page(rows, _PAGE, lambda scan: _reference(live, scan), lambda scan: scan.id)
 
 
+@router.get("/history")
+def bench_history(
+    live: Here,
+    caller: Viewer,
+    limit: Annotated[int, Query(ge=1, le=200, description="Most scans of the answer, the newest ones.")] = 60,
+) -> History:
+    """How the bench has changed from scan to scan: response to the panel, lamp, detector, wavelength scale."""
+    return history(live.store, limit)
+
+
 @router.get("/characterisations")
 def characterisations(live: Here, caller: Viewer) -> list[CharacterisationView]:
     """What was measured of the bench itself, newest first."""
     return [
-        CharacterisationView(id=each.id, kind=each.kind, created=each.created, content=json.loads(each.json))
+        CharacterisationView(
+            id=each.id, kind=each.kind, created=each.created, bench=each.bench, content=json.loads(each.json)
+        )
         for each in reversed(live.store.characterisations())
     ]
 

@@ -104,6 +104,7 @@ class CampaignView(BaseModel):
     name: str
     hash: str = Field(description="SHA-256 of what decides what is measured.")
     created: str = Field(description="ISO 8601, UTC.")
+    bench: str = Field(description="Name of the bench on which it is measured.")
 
 
 class CampaignDetail(CampaignView):
@@ -213,4 +214,4 @@ def _direction(geometry: Geometry) -> Direction:
 
 
 def _campaign(row: CampaignRow) -> CampaignView:
-    return CampaignView(id=row.id, name=row.name, hash=row.hash, created=row.created)
+    return CampaignView(id=row.id, name=row.name, hash=row.hash, created=row.created, bench=row.bench)

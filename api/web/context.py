@@ -7,7 +7,9 @@ from fastapi import Depends, Path, Request
 from api.live import Live
 
 
-def _live(request: Request) -> Live:
+async def _live(
+    request: Request,
+) -> Live:  # what is no coroutine would go to a thread, and take longer for that than all else
     return cast(Live, request.app.state.live)
 
 

@@ -2,16 +2,16 @@
 
 import time
 from collections.abc import AsyncIterator
+from functools import lru_cache
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
-from starlette.concurrency import run_in_threadpool
 
 from api.errors import Unauthorised
 from api.events import Event, Events
 from api.live import Live
-from api.web.access import Caller, caller_of, needs
+from api.web.access import Caller, needs, shown_by
 from api.web.context import Here
 
 LOOK_AGAIN = 15.0
@@ -41,23 +41,26 @@ async def events(
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
 
-async def _lines(request: Request, live: Live, source: AsyncIterator[list[Event]]) -> AsyncIterator[str]:
+async def _lines(request: Request, live: Live, source: AsyncIterator[tuple[Event, ...]]) -> AsyncIterator[bytes]:
     looked = time.monotonic()
     async for told in source:
         if time.monotonic() - looked >= LOOK_AGAIN:
             looked = time.monotonic()
-            if not await run_in_threadpool(_may_still, request, live):
+            if not await _may_still(request, live):
                 return
-        yield "".join(_text(live.events, event) for event in told) or ": alive\n\n"
+        yield _chunk(live.events, told)
 
 
-def _may_still(request: Request, live: Live) -> bool:
+async def _may_still(request: Request, live: Live) -> bool:
     """Whether who asked has not been logged out or kept out since."""
+    shown = shown_by(request, request.app.state.access)
     try:
-        return caller_of(request, live.store, request.app.state.access) is not None
+        return shown is not None and await live.callers.anew(shown) is not None
     except Unauthorised:
         return False
 
 
-def _text(source: Events, event: Event) -> str:
-    return f"id: {source.name(event)}\nevent: {event.kind}\ndata: {event.text}\n\n"
+@lru_cache(maxsize=8)  # most listeners are told the same
+def _chunk(source: Events, told: tuple[Event, ...]) -> bytes:
+    lines = "".join(f"id: {source.name(event)}\nevent: {event.kind}\ndata: {event.text}\n\n" for event in told)
+    return (lines or ": alive\n\n").encode()

@@ -17,9 +17,10 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.audit import Via, record_done
+from api.callers import Callers
 from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthorised
 from api.tokens import Caller, csrf_token
-from api.web.access import Access, caller_of, cookie_name
+from api.web.access import Access, cookie_name, shown_by
 from api.web.problems import told
 from goniometer.database import Database
 from goniometer.errors import StoreError
@@ -40,9 +41,10 @@ class Gate:
     What it adds to the dictionary `request.state.about` is logged with a request that changes something.
     """
 
-    def __init__(self, app: ASGIApp, store: Database, access: Access) -> None:
+    def __init__(self, app: ASGIApp, store: Database, callers: Callers, access: Access) -> None:
         self._app = app
         self._store = store
+        self._callers = callers
         self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -54,7 +56,8 @@ class Gate:
         request.state.caller, request.state.about = None, {}
         try:
             self._check_names(request)
-            request.state.caller = await run_in_threadpool(caller_of, request, self._store, self._access)
+            shown = shown_by(request, self._access)
+            request.state.caller = None if shown is None else await self._callers.of(shown)
             self._check_unsafe(request)
         except (ServiceError, StoreError) as error:
             response = told(error)
@@ -100,6 +103,7 @@ class Gate:
             nonlocal answered, refused
             if message["type"] == "http.response.start":
                 answered = True
+                self._callers.forget()  # it may have been about them
                 await self._log(request, message["status"], bytes(body))
                 # the library's own answer to a large body is plain text
                 plain = Headers(raw=message["headers"]).get("content-type", "").startswith("text/plain")

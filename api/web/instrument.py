@@ -1,13 +1,15 @@
 """The bench: what it does, and what operators let it do."""
 
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from api.state import BenchState, Snapshot
 from api.web.access import Caller, needs
 from api.web.context import Here
+from api.web.paging import etag, unchanged
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/instrument", tags=["instrument"])
@@ -104,10 +106,12 @@ class Moment(BaseModel):
     lamp_on_for: float | None = Field(description="Seconds.")
 
 
-@router.get("")
-async def state(live: Here, caller: Viewer) -> BenchState:
+@router.get("", response_model=BenchState)
+async def state(request: Request, response: Response, live: Here, caller: Viewer) -> Response:
     """What the bench is and does now."""
-    return live.worker.state
+    shown = live.worker.shown
+    tag = _tag(shown)
+    return unchanged(request, response, tag) or Response(shown, media_type="application/json", headers={"ETag": tag})
 
 
 @router.post("/connect")
@@ -186,6 +190,11 @@ async def spectrum(
 async def history(live: Here, caller: Viewer) -> list[Moment]:
     """Cooler and lamp in the last hour, oldest first."""
     return [Moment(**vars(past)) for past in live.worker.past]
+
+
+@lru_cache(maxsize=2)  # many ask between two changes
+def _tag(shown: str) -> str:
+    return etag(shown)
 
 
 def _shown(seen: Snapshot) -> Spectrum:

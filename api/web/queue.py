@@ -10,6 +10,7 @@ from api.errors import Conflict
 from api.live import Live
 from api.queue_view import EntryView, entry_view
 from api.web.access import Caller, needs
+from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
@@ -52,24 +53,20 @@ class Mounted(_Order):
     )
 
 
-@router.get("")
-def entries(
+@router.get("", response_model=Page[EntryView])
+async def entries(
+    request: Request,
     live: Here,
+    answers: Shared,
     caller: Viewer,
     finished: Annotated[
         bool, Query(description="Those that are finished, newest first, instead of the others.")
     ] = False,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
-) -> Page[EntryView]:
+) -> Response:
     """What is to be measured, in its order; or what was."""
-    if finished:
-        before = None if after is None else after_number(after)
-        rows = queue.finished_entries(live.store, before, limit + 1)
-        return page(rows, limit, lambda row: _view(live, row), lambda row: row.id)
-    start = after_number(after)
-    rows = [row for row in queue.entries(live.store) if row.position > start][: limit + 1]
-    return page(rows, limit, lambda row: _view(live, row), lambda row: row.position)
+    return await answers.of(request, lambda: _entries(live, after, limit, finished=finished))
 
 
 @router.post("", status_code=201)
@@ -134,6 +131,16 @@ async def mounted(live: Here, caller: Operator, number: Number, what: Mounted | 
     queue.entry(live.store, number)
     await live.worker.call("mounted", entry=number, scan=None if what is None else what.scan)
     return _view(live, queue.entry(live.store, number))
+
+
+def _entries(live: Live, after: str | None, limit: int, *, finished: bool) -> Page[EntryView]:
+    if finished:
+        before = None if after is None else after_number(after)
+        rows = queue.finished_entries(live.store, before, limit + 1)
+        return page(rows, limit, lambda row: _view(live, row), lambda row: row.id)
+    start = after_number(after)
+    rows = [row for row in queue.entries(live.store) if row.position > start][: limit + 1]
+    return page(rows, limit, lambda row: _view(live, row), lambda row: row.position)
 
 
 def _request(live: Live, number: int, command: Command) -> EntryView:

@@ -5,7 +5,9 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
+from api.live import Live
 from api.web.access import Caller, needs
+from api.web.answers import Shared
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, etag, page, unchanged
@@ -79,18 +81,18 @@ class ExposureView(BaseModel):
     counts: list[int] = Field(description="[pixels] raw counts.")
 
 
-@router.get("/scans")
-def scans(
+@router.get("/scans", response_model=Page[ScanView])
+async def scans(
+    request: Request,
     live: Here,
+    answers: Shared,
     caller: Viewer,
     campaign: Annotated[int | None, Query(ge=1, lt=2**63, description="Only those of this campaign.")] = None,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
-) -> Page[ScanView]:
+) -> Response:
     """Scans in the order in which they are run, campaign by campaign."""
-    rows = look_up.scans_after(live.store, after_number(after), limit + 1, campaign)
-    views = {view.id: view for view in scan_views(live, rows)}
-    return page(rows, limit, lambda scan: views[scan.id], lambda scan: scan.id)
+    return await answers.of(request, lambda: _scans(live, campaign, after, limit))
 
 
 @router.get("/scans/{number}")
@@ -99,14 +101,18 @@ def scan(live: Here, caller: Viewer, number: Number) -> ScanView:
     return scan_views(live, [live.store.scan(number)])[0]
 
 
-@router.get("/scans/{number}/points")
-def points(
-    live: Here, caller: Viewer, number: Number, limit: Limit = DEFAULT_LIMIT, after: After = None
-) -> Page[PointView]:
+@router.get("/scans/{number}/points", response_model=Page[PointView])
+async def points(
+    request: Request,
+    live: Here,
+    answers: Shared,
+    caller: Viewer,
+    number: Number,
+    limit: Limit = DEFAULT_LIMIT,
+    after: After = None,
+) -> Response:
     """The points of a scan, in the order in which the plan asked for them."""
-    live.store.scan(number)
-    rows = look_up.points_after(live.store, number, after_number(after, -1), limit + 1)
-    return page(rows, limit, _point, lambda point: point.number)
+    return await answers.of(request, lambda: _points(live, number, after, limit))
 
 
 @router.get("/points/{number}")
@@ -146,11 +152,23 @@ def exposure(
     return Response(content, media_type="application/json", headers=headers)
 
 
-def scan_views(live: Here, rows: list[Scan]) -> list[ScanView]:
+def scan_views(live: Live, rows: list[Scan]) -> list[ScanView]:
     """Scans as they are shown."""
     ids = [row.id for row in rows]
     counts, made = look_up.point_counts(live.store, ids), look_up.datasets_of(live.store, ids)
     return [_scan(row, counts.get(row.id, NONE), made.get(row.id, [])) for row in rows]
+
+
+def _scans(live: Live, campaign: int | None, after: str | None, limit: int) -> Page[ScanView]:
+    rows = look_up.scans_after(live.store, after_number(after), limit + 1, campaign)
+    views = {view.id: view for view in scan_views(live, rows)}
+    return page(rows, limit, lambda scan: views[scan.id], lambda scan: scan.id)
+
+
+def _points(live: Live, number: int, after: str | None, limit: int) -> Page[PointView]:
+    live.store.scan(number)
+    rows = look_up.points_after(live.store, number, after_number(after, -1), limit + 1)
+    return page(rows, limit, _point, lambda point: point.number)
 
 
 def _scan(row: Scan, counts: Counts, datasets: list[int]) -> ScanView:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,14 +12,27 @@ from api import lease, queue
 from api.errors import Conflict
 from api.lease import Watcher, read_lease, release_lease, renew_lease, take_lease, take_up_stop
 from goniometer.campaign import Campaign, Sample
+from goniometer.errors import CampaignError, InputError, NotInStore, StoreBusy
 from goniometer.records import now
 from goniometer.store import Store
 
 
 @pytest.fixture
-def stores(tmp_path: Path) -> tuple[Store, Store]:
+def stores(database: Path | str) -> Iterator[tuple[Store, Store]]:
     """Two services on one database."""
-    return Store.open(tmp_path / "bench.db"), Store.open(tmp_path / "bench.db")
+    both = Store.open(database), Store.open(database)
+    yield both
+    for each in both:
+        each.close()
+
+
+@pytest.fixture
+def benches(database: Path | str) -> Iterator[tuple[Store, Store]]:
+    """Two services on one database, each with a bench of its own."""
+    both = Store.open(database, "left"), Store.open(database, "right")
+    yield both
+    for each in both:
+        each.close()
 
 
 def campaign(name: str) -> Campaign:
@@ -124,3 +138,82 @@ def test_after_a_restart_nothing_begins_that_was_started_before(stores: tuple[St
     queue.hold(store, "Look first.", restarted)
     found = {each.name: (each.phase, each.reason) for each in queue.entries(store)}
     assert found == {"running": ("idle", "It ended."), "before": ("idle", "Look first."), "after": ("queued", "")}
+
+
+def test_each_of_two_benches_is_driven_and_stopped_by_its_own_service(benches: tuple[Store, Store]) -> None:
+    left, right = (take_lease(store, store.bench, f"http://{store.bench}", None) for store in benches)
+    assert left is not None
+    assert right is not None
+    for store in benches:
+        held = read_lease(store)
+        assert held is not None
+        assert held.holder == store.bench
+    lease.pass_on_stop(benches[0])
+    assert not take_up_stop(benches[1], right)
+    assert take_up_stop(benches[0], left)
+    release_lease(benches[0], left)
+    assert renew_lease(benches[1], right) is not None
+    freed = read_lease(benches[0])
+    assert freed is not None
+    assert freed.holder is None
+
+
+def test_a_bench_takes_nothing_from_the_queue_of_another(benches: tuple[Store, Store]) -> None:
+    left, right = benches
+    first, second = (queue.add_entry(store, campaign(store.bench), "anna") for store in benches)
+    assert (first.position, second.position) == (1, 1)
+    queue.start_entry(left, first.id)
+    assert queue.next_entry(right) is None
+    queue.hold(right, "Look first.")
+    queue.interrupt(right, "It ended.")
+    runs = queue.next_entry(left)
+    assert runs is not None
+    assert (runs.name, runs.bench) == ("left", "left")
+    queue.interrupt(right, "It ended.")
+    assert [each.phase for each in queue.entries(left)] == ["running"]
+    assert [each.name for each in queue.entries(right)] == ["right"]
+    with pytest.raises(NotInStore, match="bench left"):
+        queue.remove_entry(right, first.id)
+    with pytest.raises(Conflict, match="of the bench left"):
+        queue.add_entry(right, campaign("left"), "anna")
+
+
+def test_two_benches_run_at_once_and_one_bench_does_not_run_twice(
+    benches: tuple[Store, Store], database: Path | str
+) -> None:
+    left, right = benches
+    again = Store.open(database, "left")
+    with left.exclusive(), right.exclusive():
+        with pytest.raises(StoreBusy, match="on the bench left"), again.exclusive():
+            pass
+        with pytest.raises(StoreBusy), again.exclusive(everywhere=True):
+            pass
+        assert again.in_use()
+        assert again.in_use("right")
+    assert not again.in_use("right")
+    with again.exclusive(everywhere=True), pytest.raises(StoreBusy), right.exclusive():
+        pass
+    again.close()
+
+
+def test_a_campaign_stays_on_its_bench_and_a_killed_run_there_is_not_ended_from_elsewhere(
+    benches: tuple[Store, Store],
+) -> None:
+    left, right = benches
+    number = left.add_campaign(campaign("shared"))
+    scan = left.scans(number)[0].id
+    left.set_phase(scan, "running")
+    with pytest.raises(CampaignError, match="bench left"):
+        right.add_campaign(campaign("shared"))
+    right.end_stale_scans()
+    assert right.scan(scan).phase == "running"
+    assert right.benches() == {number: "left"}
+    with left.exclusive():
+        right.request(scan, "abort")
+    left.end_stale_scans()
+    assert right.scan(scan).outcome == "aborted"
+
+
+def test_a_name_that_cannot_be_one_of_a_bench_is_refused(database: Path | str) -> None:
+    with pytest.raises(InputError, match="lower-case"):
+        Store.open(database, "../left")

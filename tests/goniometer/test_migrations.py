@@ -1,5 +1,6 @@
 """A database of any older version is used on with all that was in it."""
 
+import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -34,9 +35,16 @@ def rows(file: Path, query: str) -> list[tuple[Any, ...]]:
 
 
 def shape(file: Path) -> set[tuple[str, str, tuple[str, ...]]]:
-    """Every table, index and trigger with the lines that made it; their order and quotes around names do not count."""
+    """Every table, index and trigger with the parts that make it; their order and quotes around names do not count."""
+
+    def parts(sql: str) -> tuple[str, ...]:
+        head, _, rest = " ".join(sql.replace('"', "").split()).partition("(")
+        body, _, tail = rest.rpartition(")")
+        commas = r",(?![^()]*\))"  # outside of inner brackets
+        return (head.strip(), tail.strip(), *sorted(part.strip() for part in re.split(commas, body)))
+
     return {
-        (kind, name, tuple(sorted(line.replace('"', "").strip(" ,\t") for line in sql.splitlines())))
+        (kind, name, parts(sql))
         for kind, name, sql in rows(file, "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL")
     }
 

@@ -1,14 +1,18 @@
 import errno
+import re
 import signal
 import sqlite3
 import subprocess
 import sys
 import textwrap
+import time
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sqlalchemy import Engine, event
+from sqlalchemy import Engine, event, text
+from sqlalchemy.exc import IntegrityError
 
 from drivers.interfaces import Spectrum
 from goniometer.calibration import certificate_of
@@ -16,11 +20,12 @@ from goniometer.campaign import Campaign, Homogeneity, Override, Reference, Samp
 from goniometer.certificate import NOMINAL_SRS99
 from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset, Flag
-from goniometer.errors import CampaignError, NotInStore, StoreBusy, StoreError, StoreFull
+from goniometer.errors import CampaignError, NotInStore, RawDamaged, StoreBusy, StoreError, StoreFull
 from goniometer.geometry import Geometry
 from goniometer.raw import read_raw
 from goniometer.store import Store
 from goniometer.uncertainty import ErrorSource, everywhere
+from tests.databases import fresh_database, outside
 
 CAMPAIGN = Campaign(
     name="First light", samples=(Sample(name="Rough", material="sample-1"), Sample(name="Mirror", material="sample-6"))
@@ -36,8 +41,8 @@ CONSTANTS = Constants(
 
 
 @pytest.fixture
-def store(tmp_path):
-    opened = Store.open(tmp_path / "bench.db")
+def store(database):
+    opened = Store.open(database)
     yield opened
     opened.close()
 
@@ -179,8 +184,8 @@ def test_a_resume_with_another_certificate_is_refused_in_one_line_and_not_silent
     assert certificate_of(store, campaign_id).reflectance_8h[0] == 0.98
 
 
-def test_raw_counts_come_back_bit_for_bit(tmp_path):
-    store = Store.open(tmp_path / "bench.db")
+def test_raw_counts_come_back_bit_for_bit(database):
+    store = Store.open(database)
     scan_id, point = first_point(store)
     store.save_constants(scan_id, CONSTANTS)
     light, dark = [spectrum(1), spectrum(2)], [spectrum(3), spectrum(4)]
@@ -189,7 +194,7 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
     store.finish_point(point, Geometry(10.003, -30.004), light, "one", 7.25, 12.5, 20.5, "too dark")
     store.close()
 
-    reopened = Store.open(tmp_path / "bench.db")
+    reopened = Store.open(database)
     raw = read_raw(reopened, scan_id)
     assert raw.planned == (Geometry(10.0, -30.0),)
     assert raw.read_back == (Geometry(10.003, -30.004),)
@@ -208,22 +213,23 @@ def test_raw_counts_come_back_bit_for_bit(tmp_path):
     reopened.close()
 
 
-def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, tmp_path):
+def test_raw_and_derived_data_cannot_be_changed_or_deleted_by_anybody(store, database):
     scan_id, point = first_point(store)
     store.start_point(point.id)
     store.finish_point(point, point.geometry, [spectrum()], "one", 0.0, 1.0, 50.0)
     dataset_id = store.add_dataset(scan_id, dataset())
     store.add_fit(dataset_id, "global", "{}")
-    other = sqlite3.connect(tmp_path / "bench.db")
-    for change in (
+    changes = [
         "UPDATE exposures SET integration_time = 1",
         "DELETE FROM exposures",
         "UPDATE datasets SET sample = 'x'",
         "DELETE FROM fits",
-    ):
-        with pytest.raises(sqlite3.IntegrityError, match="only ever added"):
-            other.execute(change)
-    other.close()
+    ]
+    if isinstance(database, str):
+        changes.append("TRUNCATE exposures")
+    for change in changes:
+        with pytest.raises(IntegrityError, match="only ever added"), outside(database) as other:
+            other.execute(text(change))
 
 
 def test_a_dataset_comes_back_bit_for_bit_and_a_second_one_stands_beside_it(store):
@@ -289,9 +295,9 @@ def test_a_sample_is_not_measured_with_another_bench_than_the_reference(store, c
     assert store.constants(sample).stages == {"sample stage": "another"}
 
 
-def test_another_process_can_ask_for_a_pause_but_only_of_a_running_scan(store, tmp_path):
+def test_another_process_can_ask_for_a_pause_but_only_of_a_running_scan(store, database):
     scan_id, _ = first_point(store)
-    other = Store.open(tmp_path / "bench.db")
+    other = Store.open(database)
     with store.exclusive(), pytest.raises(NotInStore, match="not running"):
         other.request(scan_id, "pause")
     store.set_phase(scan_id, "running")
@@ -333,14 +339,14 @@ def test_a_point_that_another_process_has_finished_is_not_written_twice(store):
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda _: b"", lambda b: b[:300] + bytes(9) + b[309:]])
-def test_a_damaged_dataset_is_said_to_be_damaged(store, tmp_path, damage):
+def test_a_damaged_dataset_is_said_to_be_damaged(store, database, damage):
     scan_id, _ = first_point(store)
     dataset_id = store.add_dataset(scan_id, dataset())
-    with sqlite3.connect(tmp_path / "bench.db") as other:
-        other.execute("DROP TRIGGER datasets_no_update")
-        (blob,) = other.execute("SELECT arrays FROM datasets").fetchone()
-        other.execute("UPDATE datasets SET arrays = ?", (damage(blob),))
-    other.close()
+    trigger = "datasets_only_added ON datasets" if isinstance(database, str) else "datasets_no_update"
+    with outside(database) as other:
+        other.execute(text(f"DROP TRIGGER {trigger}"))
+        blob = other.execute(text("SELECT arrays FROM datasets")).scalar_one()
+        other.execute(text("UPDATE datasets SET arrays = :damaged"), {"damaged": damage(blob)})
     with pytest.raises(StoreError, match=f"Dataset {dataset_id} is damaged") as caught:
         store.dataset(dataset_id)
     assert "\n" not in str(caught.value)
@@ -352,16 +358,17 @@ def test_what_is_not_there_is_named(store):
             ask(77)
 
 
-def test_a_second_run_on_the_same_database_is_refused_with_its_name(store, tmp_path):
-    other = Store.open(tmp_path / "bench.db")
-    with store.exclusive(), pytest.raises(StoreBusy, match=r"bench\.db"), other.exclusive():
+def test_a_second_run_on_the_same_database_is_refused_with_its_name(store, database):
+    other = Store.open(database)
+    with store.exclusive(), pytest.raises(StoreBusy, match=re.escape(store.where)), other.exclusive():
         pass
     with other.exclusive():
         pass
     other.close()
 
 
-def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(store, tmp_path):
+def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(tmp_path):
+    store = Store.open(tmp_path / "bench.db")
     (tmp_path / "elsewhere").mkdir()
     link = tmp_path / "elsewhere" / "link.db"
     link.symlink_to(tmp_path / "bench.db")
@@ -370,13 +377,14 @@ def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(store, tmp_pa
         with store.exclusive(), pytest.raises(StoreBusy), other.exclusive():
             pass
         other.close()
+    store.close()
 
 
-def test_a_killed_run_leaves_no_lock_behind(store, tmp_path):
+def test_a_killed_run_leaves_no_lock_behind(store, database):
     script = f"""
         import time
         from goniometer.store import Store
-        with Store.open({str(tmp_path / "bench.db")!r}).exclusive():
+        with Store.open({str(database)!r}).exclusive():
             print("locked", flush=True)
             time.sleep(60)
     """
@@ -387,6 +395,9 @@ def test_a_killed_run_leaves_no_lock_behind(store, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     process.stdout.close()
+    end = time.monotonic() + 10  # a server sees a moment later that somebody is gone
+    while store.in_use():
+        assert time.monotonic() < end
     with store.exclusive():
         pass
 
@@ -430,13 +441,22 @@ def test_a_start_on_a_full_disk_does_not_spoil_the_database_for_ever(tmp_path):
     Store.open(tmp_path / "bench.db").close()
 
 
-def test_two_first_starts_at_once_make_one_database(tmp_path):
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_two_first_starts_at_once_make_one_database(kind, tmp_path, request):
+    with ExitStack() as stack:
+        database = tmp_path / "bench.db"
+        if kind == "postgresql":
+            database = stack.enter_context(fresh_database(request.getfixturevalue("postgresql"), empty=True))
+        start_at_once(database)
+
+
+def start_at_once(database):
     script = f"""
         import sys
         from goniometer.store import Store
         print(flush=True)
         sys.stdin.readline()
-        Store.open({str(tmp_path / "bench.db")!r}).close()
+        Store.open({str(database)!r}).close()
     """
     command = [sys.executable, "-c", textwrap.dedent(script)]
     pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
@@ -534,7 +554,8 @@ def test_a_lock_that_finds_no_room_is_a_full_disk(tmp_path, monkeypatch):
     store.close()
 
 
-def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
+def test_somebody_who_reads_does_not_hold_up_a_run(tmp_path):
+    store = Store.open(tmp_path / "bench.db")
     _, point = first_point(store)
     reader = sqlite3.connect(tmp_path / "bench.db", isolation_level=None)
     store.start_point(point.id)
@@ -545,3 +566,23 @@ def test_somebody_who_reads_does_not_hold_up_a_run(store, tmp_path):
     reader.execute("COMMIT")
     assert reader.execute("SELECT status FROM points").fetchall() == [("done",), ("pending",)]
     reader.close()
+    store.close()
+
+
+@pytest.mark.parametrize(
+    "change", ["counts = zeroblob(4176)", "integration_time = 0.2", "moment = 1.0", "kind = 'stray'"]
+)
+def test_a_raw_exposure_that_was_changed_from_outside_is_never_taken_for_data(tmp_path, change):
+    store = Store.open(tmp_path / "bench.db")
+    scan_id, _ = first_point(store)
+    store.add_exposures(scan_id, "monitor", [spectrum(1), spectrum(2)], "one", 0.0, Geometry(10.0, -0.0))
+    first, second = store.exposures(scan_id)
+    assert first.geometry == Geometry(10.0, 0.0)
+    with sqlite3.connect(tmp_path / "bench.db") as outside:
+        outside.execute("DROP TRIGGER exposures_no_update")
+        outside.execute(f"UPDATE exposures SET {change} WHERE id = {second.id}")
+    outside.close()
+    with pytest.raises(RawDamaged, match=rf"Exposure {second.id} .* db restore") as caught:
+        read_raw(store, scan_id)
+    assert caught.value.exposure_id == second.id
+    store.close()

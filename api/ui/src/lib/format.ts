@@ -11,7 +11,7 @@ export function number(value: number | null | undefined, digits = 2): string {
 export function significant(value: number | null | undefined, figures = 3): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return '–';
   const size = Math.abs(value);
-  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(figures - 1) : String(Number(value.toPrecision(figures)));
+  const text = size !== 0 && (size < 1e-4 || size >= 1e5) ? value.toExponential(figures - 1) : String(Number(value.toPrecision(figures)));
   return text.replaceAll('-', MINUS);
 }
 
