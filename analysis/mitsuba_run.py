@@ -184,7 +184,7 @@ def run_worker(module: str, folder: Path) -> dict[str, Any]:
         raise RenderError(f"Mitsuba ended by signal {-done.returncode}.")
     if done.returncode != 0:
         raise RenderError(_why(done.stderr))
-    with np.load(folder / "out.npz") as arrays:
+    with np.load(folder / "out.npz", allow_pickle=False) as arrays:
         return {key: arrays[key] for key in arrays.files}
 
 

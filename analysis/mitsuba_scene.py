@@ -8,8 +8,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree import ElementTree  # nosec B405: it only writes; what reads is defusedxml
 
+import defusedxml
+import defusedxml.ElementTree
 import numpy as np
 
 from analysis.colour import illuminant, observer
@@ -29,6 +31,9 @@ STEP = float(WAVELENGTHS[1] - WAVELENGTHS[0])
 """Of these wavelengths, nm."""
 
 _SKY_ROWS = 512
+
+_DEEPEST = 50
+"""Elements inside each other; scenes have about six."""
 
 _OURS = '<bsdf type="measured" id="sample" />'
 
@@ -58,10 +63,10 @@ def read_mitsuba(path: Path) -> MitsubaScene:
     Raises `InputError` for a file that is none, or has no BSDF with the id "sample", no film or several cameras.
     """
     try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+        root = parsed_xml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: the scene cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, ElementTree.ParseError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: the scene is not valid XML: {error}") from None
     found = [element for element in root.iter("bsdf") if element.get("id") == "sample"]
     if len(found) != 1:
@@ -83,6 +88,22 @@ def read_mitsuba(path: Path) -> MitsubaScene:
         {},
         None,
     )
+
+
+def parsed_xml(text: str) -> ElementTree.Element:
+    """The root of a scene; raises `ValueError` for what is no XML, defines entities, or is nested without end."""
+    try:
+        root: ElementTree.Element = defusedxml.ElementTree.fromstring(text)
+    except defusedxml.DefusedXmlException:
+        raise ValueError("it defines entities, which are not read; write out what they stand for") from None
+    except ElementTree.ParseError as error:
+        raise ValueError(str(error)) from None
+    inside = [root]
+    for _ in range(_DEEPEST):
+        inside = [each for element in inside for each in element]
+    if inside:
+        raise ValueError(f"its elements are nested deeper than {_DEEPEST} levels")
+    return root
 
 
 def _film_side(film: ElementTree.Element, side: str, defaults: dict[str | None, str], path: Path) -> int:

@@ -159,7 +159,7 @@ def main(folder: Path) -> None:
     for place in (job["resources"], str(folder)):
         mi.file_resolver().append(place)  # type: ignore[operator]  # its stub calls it an object
     for image in job["images"]:
-        mi.Bitmap(np.load(folder / f"{image}.npy").astype(np.float32)).write(str(folder / image))
+        mi.Bitmap(np.load(folder / f"{image}.npy", allow_pickle=False).astype(np.float32)).write(str(folder / image))
     scenes = []
     for number, variant in enumerate(job["variants"]):
         mi.set_variant(variant)

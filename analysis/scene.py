@@ -11,13 +11,13 @@ material into the camera, once reflected: shapes cast shadows but do not light e
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from goniometer.errors import InputError
 from goniometer.wording import describe
+from goniometer.yaml_text import parsed_yaml
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
@@ -103,14 +103,13 @@ class Scene(_Model):
 def load_scene(path: Path) -> Scene:
     """Read and check a scene; raises `InputError`, one line with the file, the key and what would be right."""
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parsed_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: the scene cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: the scene is not UTF-8 text") from None
-    except (yaml.YAMLError, RecursionError) as error:
-        problem = getattr(error, "problem", None) or "it is nested too deeply"
-        raise InputError(f"{path}: the scene is not valid YAML: {problem}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: the scene {error}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: a scene is a mapping with the keys camera, material and lights")
     try:

@@ -5,8 +5,9 @@ which is a program.
 """
 
 import re
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element  # nosec B405: nothing is parsed by it
 
+from analysis.mitsuba_scene import parsed_xml
 from goniometer.errors import InputError
 
 _PLUGIN = re.compile(r"[a-z][a-z0-9_]*")
@@ -15,8 +16,8 @@ _PLUGIN = re.compile(r"[a-z][a-z0-9_]*")
 def check_foreign_scene(text: str) -> None:
     """Raise `InputError` where the XML of a scene of Mitsuba reaches for a file, or is none."""
     try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
+        root = parsed_xml(text)
+    except ValueError as error:
         raise InputError(f"scene: it is not valid XML: {error}") from None
     for element in root.iter():
         if (named := _outside(element)) is not None:
@@ -26,7 +27,7 @@ def check_foreign_scene(text: str) -> None:
             )
 
 
-def _outside(element: ElementTree.Element) -> str | None:
+def _outside(element: Element) -> str | None:
     """What an element names that is no part of the scene; None if nothing."""
     kind, name, value = (element.get(key, "") for key in ("type", "name", "value"))
     if element.tag in {"include", "path"}:

@@ -6,11 +6,10 @@ said is written as "not stated", and "NA" stands for a whole part that would nee
 """
 
 import base64
+import json
 import math
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -20,6 +19,7 @@ from goniometer.errors import DataFileError
 from goniometer.measured_table import read_text
 from goniometer.records import Scan
 from goniometer.store import Store
+from goniometer.yaml_text import parsed_yaml
 
 SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 """Name of version 1.0 of the format."""
@@ -39,10 +39,13 @@ def read_about(path: Path) -> dict[str, Any]:
     """What a person says; raises `DataFileError` for a file that is no mapping, or has a key that is not asked for."""
     text, _ = read_text(path)
     try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        problem = " ".join(str(error).split())
-        raise DataFileError(f"{path}: is no valid YAML or JSON ({problem}).") from error
+        content = parsed_yaml(text)
+    except ValueError as error:
+        raise DataFileError(f"{path}: {error}.") from None
+    try:
+        json.dumps(content)
+    except (TypeError, ValueError) as error:
+        raise DataFileError(f"{path}: holds a value that JSON does not know ({error}); write it in quotes.") from None
     if not isinstance(content, dict):
         raise DataFileError(f"{path}: must be a mapping with keys such as provenance, sample and environment.")
     for name in content:

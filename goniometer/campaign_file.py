@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from goniometer.campaign import Campaign, Sample
@@ -12,29 +11,7 @@ from goniometer.errors import CampaignError
 from goniometer.material_file import material_file
 from goniometer.scene_weights import read_weights
 from goniometer.wording import describe
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """YAML in which a key given twice is a mistake; the standard loader silently keeps the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in seen:
-                    raise yaml.MarkedYAMLError(None, None, f'the key "{key.value}" is given twice', key.start_mark)
-                seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-class _ForeignLoader(_StrictLoader):
-    """YAML without aliases, by which a few lines can stand for more than a computer can hold."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]  # of the library
-            raise yaml.MarkedYAMLError(None, None, "an alias is not read here; write out what it stands for", mark)
-        return super().compose_node(parent, index)
+from goniometer.yaml_text import parsed_yaml
 
 
 def load_campaign(path: Path | str) -> Campaign:
@@ -51,7 +28,7 @@ def load_campaign(path: Path | str) -> Campaign:
         raise CampaignError(f"{path}: the campaign file cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise CampaignError(f"{path}: the campaign file is not UTF-8 text") from None
-    return _campaign(_content(text, str(path), _StrictLoader), str(path), lambda name: path.parent / name)
+    return _campaign(_content(text, str(path)), str(path), lambda name: path.parent / name)
 
 
 def read_campaign(sent: str | dict[str, Any], folder: Path) -> Campaign:
@@ -69,22 +46,16 @@ def read_campaign(sent: str | dict[str, Any], folder: Path) -> Campaign:
             raise CampaignError(f"campaign: {name!r} lies outside the folder of the service's files; put it in there")
         return path
 
-    content = _content(sent, "campaign", _ForeignLoader) if isinstance(sent, str) else sent
+    content = _content(sent, "campaign") if isinstance(sent, str) else sent
     return _campaign(content, "campaign", inside)
 
 
-def _content(text: str, where: str, loader: type[_StrictLoader]) -> object:
+def _content(text: str, where: str) -> object:
     """What the text of a campaign file holds; `where` names it in messages."""
     try:
-        return yaml.load(text, loader)  # a SafeLoader, and JSON is YAML
-    except yaml.YAMLError as error:
-        _refuse_yaml(where, error)
-    except RecursionError:
-        raise CampaignError(f"{where}: the campaign file is nested too deeply; a campaign needs four levels") from None
-    except (ValueError, LookupError, AttributeError) as error:  # what the loader lets through of an impossible value
-        raise CampaignError(
-            f"{where}: the campaign file holds a value that is not possible ({error}); write a text in quotes"
-        ) from None
+        return parsed_yaml(text)  # JSON is YAML
+    except ValueError as error:
+        raise CampaignError(f"{where}: the campaign file {error}") from None
 
 
 def _campaign(content: object, where: str, locate: Callable[[str], Path]) -> Campaign:
@@ -119,15 +90,6 @@ def _located(sample: Sample, locate: Callable[[str], Path]) -> Sample:
     if file is None:
         return sample
     return sample.model_copy(update={"material": str(file._replace(path=locate(str(file.path)).absolute()))})
-
-
-def _refuse_yaml(path: str, error: yaml.YAMLError) -> NoReturn:
-    """Raise the one-line form of a YAML error."""
-    where = ""
-    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        where = f" in line {error.problem_mark.line + 1}"
-    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-    raise CampaignError(f"{path}: the campaign file is not valid YAML{where}: {problem}") from None
 
 
 def _kind(value: object) -> str:

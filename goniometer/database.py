@@ -19,6 +19,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 import goniometer.service_tables  # noqa: F401  (its tables are made with all others)
 from goniometer import postgresql, tables
 from goniometer.errors import InputError, NotInStore, StoreBusy, StoreError, StoreFull
+from goniometer.filesystem import served_by
 
 _WRITE, _RUN = postgresql.key("write"), postgresql.key("run")
 """Locks of a PostgreSQL database; every run shares the second one, and has one of its bench for itself."""
@@ -54,7 +55,7 @@ class Database:
         if not _BENCH_NAME.fullmatch(bench):
             told = "take up to 32 lower-case letters, digits and hyphens, no hyphen first"
             raise InputError(f'"{bench[:64]}" cannot be the name of a bench; {told}')
-        database = cls._reach(where, bench)
+        database = cls.at(where, bench)
         with database.faults():
             tables.prepare(database._engine, database.where)
         return database
@@ -65,7 +66,7 @@ class Database:
 
         Raises `StoreError` where it cannot be opened or is not ours.
         """
-        database = cls._reach(where)
+        database = cls.at(where)
         if database.file is not None and not database.file.exists():
             raise NotInStore(f"There is no database {database.where}; name one that is there")
         with database.reading() as connection:
@@ -73,7 +74,11 @@ class Database:
         return database
 
     @classmethod
-    def _reach(cls, where: Path | str, bench: str = tables.BENCH) -> Self:
+    def at(cls, where: Path | str, bench: str = tables.BENCH) -> Self:
+        """The database at `where`, which need not be there; it is neither read nor made yet.
+
+        Raises `StoreError` where there can be none.
+        """
         url, shown = _url(where), shown_place(where)
         if url.get_backend_name() == "postgresql":
             return cls(postgresql.connected(url), shown, None, bench)
@@ -83,6 +88,12 @@ class Database:
             url = url.set(database=str(file))
         if file and not file.parent.is_dir():
             raise StoreError(f"{shown} cannot be created: the folder {file.parent} does not exist; create it first")
+        served = None if file is None else served_by(file)
+        if served:
+            raise StoreError(
+                f"{shown} lies on a network file system ({served}), where SQLite cannot keep it whole; "
+                f"name a file on a local disk, or a PostgreSQL database"
+            )
         # a server asks from as many threads; what is above the size of the pool is opened anew each time
         size = {"pool_size": CONNECTIONS} if file else {}
         engine = create_engine(url, hide_parameters=True, **size)

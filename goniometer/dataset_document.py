@@ -7,11 +7,12 @@ all numbers, and of checks and lineage, so that a file that was changed since is
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.arrays import FloatArray
 from goniometer.dataset import MEANING, Check, Dataset
@@ -24,6 +25,9 @@ VERSION = 1
 
 LARGEST_ARRAYS = 1_000_000_000
 """Bytes above which the arrays of a file are refused, for a small file may unpack to anything."""
+
+MOST_SOURCES = 1000
+"""Sources of error that a file may have; no budget has nearly as many."""
 
 MEANINGS = {
     "theta_in": "incident angle, as read back from the stages",
@@ -55,12 +59,19 @@ SHARING = (
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False, ge=0)]
 
 
+def _plain_name(name: str) -> str:
+    """A name that can stand above a column of a table and in a line that is printed."""
+    if not name.isprintable() or re.search(r"[,;]\s*[=+@-]", name):
+        raise ValueError("a source of error has a name of letters, digits and spaces")
+    return name
+
+
 class SourceText(BaseModel):
     """One source of error without its values; see `goniometer.uncertainty.ErrorSource`."""
 
     model_config = ConfigDict(strict=True, frozen=True)
 
-    name: str
+    name: Annotated[str, Field(max_length=200), AfterValidator(_plain_name)]
     part: str
     shared_by_wavelengths: bool
     groups: Literal["all"] | list[int] | None
@@ -89,7 +100,7 @@ class Document(BaseModel):
     aperture_deg: FiniteFloat
     u_angle_deg: FiniteFloat
     u_zero_deg: FiniteFloat
-    sources: list[SourceText]
+    sources: Annotated[list[SourceText], Field(max_length=MOST_SOURCES)]
     checks: list[CheckText]
     lineage: dict[str, Any]
 

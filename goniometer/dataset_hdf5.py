@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arrays import FloatArray
 from goniometer.constants import Constants
 from goniometer.dataset import MEANING, Dataset
 from goniometer.dataset_document import (
-    LARGEST_ARRAYS,
     MEANINGS,
+    MOST_SOURCES,
     SHARING,
     UNITS,
     Arrays,
@@ -34,6 +33,7 @@ from goniometer.dataset_document import (
     parsed,
 )
 from goniometer.errors import DataFileError, InputError
+from goniometer.plain_hdf5 import PlainHdf5, is_plain
 from goniometer.records import Exposure, constants_json
 from goniometer.store import Store
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 MAGIC = b"\x89HDF\r\n\x1a\n"
 """How such a file begins."""
 
-_MOST_SOURCES = 1000
 _PASSED = {None: -1, False: 0, True: 1}
 
 
@@ -194,104 +193,38 @@ def dataset_from_hdf5(where: str, content: bytes) -> Dataset:
 
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            return _read(where, _Reader(where, file["entry"] if _plain(where, file, "entry") else file))
+            return _read(where, PlainHdf5(where, file["entry"] if is_plain(where, file, "entry") else file))
     # what the library and the conversions below raise for content that is not what we wrote
     except (OSError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError) as error:
         raise DataFileError(f"{where}: cannot be read as HDF5 of a dataset ({error}); export it again.") from error
 
 
-def _plain(where: str, group: "Group", name: str) -> bool:
-    """Whether the group has the entry; raises `DataFileError` where it is no part of the file itself."""
-    import h5py  # noqa: PLC0415  (is only needed here)
-
-    link = group.get(name, getlink=True)
-    if link is not None and not isinstance(link, h5py.HardLink):
-        raise DataFileError(f"{where}: {group.name}/{name} is a link to elsewhere; copy the data into the file.")
-    return link is not None
-
-
-class _Reader:
-    """Reads arrays and texts of one file, and counts how much that was."""
-
-    def __init__(self, where: str, entry: "Group") -> None:
-        self.where = where
-        self.entry = entry
-        self._left = LARGEST_ARRAYS
-
-    def _at(self, path: str) -> Any:
-        found: Any = self.entry
-        for name in path.split("/"):
-            if not _plain(self.where, found, name):
-                raise DataFileError(f"{self.where}: has no {self.entry.name}/{path}; export it again.")
-            found = found[name]
-        return found
-
-    def group(self, path: str) -> Any:
-        """The group at a path."""
-        found = self._at(path)
-        if not hasattr(found, "keys"):
-            raise DataFileError(f"{self.where}: {found.name} is no group; export it again.")
-        return found
-
-    def has(self, path: str, name: str) -> bool:
-        """Whether the group at a path has the entry."""
-        return _plain(self.where, self.group(path), name)
-
-    def array(self, path: str) -> NDArray[Any]:
-        """The array at a path as it is in the file; raises `DataFileError` where all became too large."""
-        found = self._at(path)
-        if hasattr(found, "keys"):
-            raise DataFileError(f"{self.where}: {found.name} is no array; export it again.")
-        if found.external or found.is_virtual:
-            raise DataFileError(f"{self.where}: {found.name} is kept elsewhere; copy the data into the file.")
-        self._left -= found.size * found.dtype.itemsize
-        if self._left < 0:
-            raise DataFileError(
-                f"{self.where}: its arrays are larger than {LARGEST_ARRAYS / 1e9:g} GB, which is more than is read at "
-                f"once; leave out wavelengths, or split it by incident angles."
-            )
-        return np.asarray(found[()])
-
-    def numbers(self, path: str) -> FloatArray:
-        """The array at a path as numbers."""
-        found = self.array(path)
-        if found.dtype.kind not in "fiu":
-            raise DataFileError(f"{self.where}: {self.entry.name}/{path} are no numbers; export it again.")
-        return found.astype(float)
-
-    def texts(self, path: str) -> list[str]:
-        """The texts at a path."""
-        return [each.decode() for each in self.array(path).ravel().tolist()]
-
-
-def _read(where: str, file: _Reader) -> Dataset:
+def _read(where: str, file: PlainHdf5) -> Dataset:
+    if (count := len(file.group("sources"))) > MOST_SOURCES:
+        raise DataFileError(f"{where}: has {count} sources of error; {MOST_SOURCES} is more than any budget has.")
     names = sorted(file.group("sources"))
-    if len(names) > _MOST_SOURCES:
-        raise DataFileError(f"{where}: has {len(names)} sources of error; {_MOST_SOURCES} is more than any budget has.")
     sources = []
     for name in names:
-        attributes = file.group(f"sources/{name}").attrs
-        groups = file.numbers(f"sources/{name}/groups").tolist() if file.has(f"sources/{name}", "groups") else None
+        place = f"sources/{name}"
         sources.append(
             {
-                "name": str(attributes["name"]),
-                "part": str(attributes["part"]),
-                "shared_by_wavelengths": bool(attributes["shared_by_wavelengths"]),
-                "groups": None if groups is None else [int(group) for group in groups],
+                "name": str(file.attribute(place, "name")),
+                "part": str(file.attribute(place, "part")),
+                "shared_by_wavelengths": bool(file.attribute(place, "shared_by_wavelengths")),
+                "groups": file.integers(f"{place}/groups") if file.has(place, "groups") else None,
             }
         )
     passed = {number: meaning for meaning, number in _PASSED.items()}
-    checks = [file.texts("checks/name"), file.numbers("checks/passed").tolist(), file.texts("checks/message")]
-    attributes = file.entry.attrs
+    checks = file.texts("checks/name"), file.integers("checks/passed"), file.texts("checks/message")
     content = {
-        "format": str(attributes["format"]),
-        "format_version": int(attributes["format_version"]),
+        "format": str(file.attribute("", "format")),
+        "format_version": int(file.attribute("", "format_version")),
         "sample": file.texts("sample/name")[0],
-        "content_hash": str(attributes["content_hash"]),
-        "history_hash": str(attributes["history_hash"]),
+        "content_hash": str(file.attribute("", "content_hash")),
+        "history_hash": str(file.attribute("", "history_hash")),
         **{f"{name}_deg": float(file.numbers(f"instrument/{name}")) for name in ("aperture", "u_angle", "u_zero")},
         "sources": sources,
-        "checks": [{"name": n, "passed": passed[int(p)], "message": m} for n, p, m in zip(*checks, strict=True)],
+        "checks": [{"name": n, "passed": passed[p], "message": m} for n, p, m in zip(*checks, strict=True)],
         "lineage": json.loads(file.texts("lineage")[0]),
     }
     arrays = Arrays(

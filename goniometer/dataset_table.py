@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,11 @@ FIRST_LINE = "# goniometer dataset: one value a row; these lines hold the rest o
 PARQUET_MAGIC = b"PAR1"
 """How a Parquet file begins and ends."""
 
+_TEXT = re.compile(r'"(?:[^"\\]|\\.)*"')
+"""A text in JSON."""
+_FORMULA = re.compile(r'((?:^"|[,;])\s*)([=+@-])')
+"""Where in such a text the cell of a spreadsheet would begin as a formula does."""
+
 _ROWS_AT_ONCE = 10_000
 _KEY = b"goniometer"
 _EXACT = ("point", "theta_in", "theta_out", "wavelength", "brdf", "standard_uncertainty", "flags")
@@ -60,7 +66,7 @@ def columns(dataset: Dataset) -> dict[str, NDArray[Any]]:
 
 def dataset_to_csv(dataset: Dataset) -> str:
     """The text of the file; an empty cell is no number. Raises `DataFileError` where it would be too large to read."""
-    lines = [FIRST_LINE, *(f"# {name}: {json.dumps(value)}" for name, value in document(dataset).items())]
+    lines = [FIRST_LINE, *(f"# {name}: {_inert_json(value)}" for name, value in document(dataset).items())]
     table = columns(dataset)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -77,6 +83,11 @@ def dataset_to_csv(dataset: Dataset) -> str:
             f"MB that an import reads; write hdf5 or parquet."
         )
     return text
+
+
+def _inert_json(value: object) -> str:
+    """JSON of a value; a spreadsheet, which splits lines at commas or semicolons, takes nothing of it for a formula."""
+    return _TEXT.sub(lambda text: _FORMULA.sub(lambda at: f"{at[1]}\\u{ord(at[2]):04x}", text[0]), json.dumps(value))
 
 
 def dataset_from_csv(where: str, text: str) -> Dataset:
@@ -96,6 +107,7 @@ def dataset_from_csv(where: str, text: str) -> Dataset:
     try:
         names = next(rows, [])
         _check_names(where, names, said)
+        _check_size(where, len(lines) - start - 1, len(names))
         table = np.empty((len(lines) - start - 1, len(names)))
         for row in rows:
             if row:
@@ -139,10 +151,12 @@ def dataset_from_parquet(where: str, content: bytes) -> Dataset:
             raise DataFileError(f"{where}: is a Parquet file of another program; only those of this one are read.")
         said = parsed_json(where, metadata[_KEY])
         _check_names(where, file.schema_arrow.names, said)
-        if 8 * file.metadata.num_rows * file.metadata.num_columns > LARGEST_ARRAYS:
-            raise DataFileError(
-                f"{where}: its arrays are larger than {LARGEST_ARRAYS / 1e9:g} GB, which is more than is read at once."
-            )
+        if not all(
+            pyarrow.types.is_floating(each) or pyarrow.types.is_integer(each) for each in file.schema_arrow.types
+        ):
+            # a text is kept once for all rows that hold it, and would become as many as there are rows
+            raise DataFileError(f"{where}: has a column of something else than numbers; export it again.")
+        _check_size(where, _rows_of_parquet(where, file.metadata), file.metadata.num_columns)
         table = file.read()
         rows = {name: table[name].to_numpy().astype(float) for name in table.column_names}
     except (pyarrow.ArrowException, OSError, ValueError, TypeError) as error:
@@ -165,6 +179,26 @@ def _meaning(name: str) -> str:
     if name == "point":
         return "number of the point, from 0"
     return MEANINGS.get(name, "change of brdf for one standard uncertainty of the source of error, signed")
+
+
+def _rows_of_parquet(where: str, metadata: Any) -> int:
+    """How many rows its columns have; raises `DataFileError` where that is not what the file says of itself."""
+    total = 0
+    for i in range(metadata.num_row_groups):
+        group = metadata.row_group(i)
+        total += group.num_rows
+        if any(group.column(k).num_values != group.num_rows for k in range(group.num_columns)):
+            raise DataFileError(f"{where}: its columns are not as long as it states; export it again.")
+    if total != metadata.num_rows:
+        raise DataFileError(f"{where}: has not as many rows as it states; export it again.")
+    return total
+
+
+def _check_size(where: str, rows: int, names: int) -> None:
+    if 8 * rows * names > LARGEST_ARRAYS:
+        raise DataFileError(
+            f"{where}: its arrays are larger than {LARGEST_ARRAYS / 1e9:g} GB, which is more than is read at once."
+        )
 
 
 def _check_names(where: str, names: list[str], said: Document) -> None:

@@ -8,6 +8,7 @@ signed: the mirror direction is `theta_out = theta_in`.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
 
@@ -54,8 +55,9 @@ def read_delimited(path: str, text: str, meaning: Meaning) -> MeasuredTable:
     number, header = lines[0]
     delimiter = next((mark for mark in "\t;" if mark in header), ",")
     names = [name.strip().strip('"').lower() for name in header.split(delimiter)]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise DataFileError(f'{path}, line {number}: the column "{twice[0]}" occurs twice; keep one of the two.')
+    name, times = Counter(names).most_common(1)[0]
+    if times > 1:
+        raise DataFileError(f'{path}, line {number}: the column "{name[:60]}" occurs twice; keep one of the two.')
     for name in _ANGLES:
         if name not in names:
             raise DataFileError(

@@ -306,7 +306,7 @@ def pack_dataset(dataset: Dataset) -> bytes:
 def to_dataset(row: Row[Any]) -> Dataset:
     """A row of `tables.datasets`, bit for bit as it was packed; raises `StoreError` where it is damaged."""
     try:
-        with np.load(io.BytesIO(row.arrays)) as arrays:
+        with np.load(io.BytesIO(row.arrays), allow_pickle=False) as arrays:
             sources = tuple(
                 ErrorSource(values=arrays[f"source_{i}"], groups=arrays.get(f"groups_{i}"), **about)
                 for i, about in enumerate(json.loads(str(arrays["sources"])))

@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,15 @@ from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 from goniometer.fill import fill
 from goniometer.reciprocity import rows_of
+from simulators.npz_file import read_bytes, read_npz
 from simulators.tabulated import Row, Tabulated, UnfitTable
 
 WIDEST_GAP = 3.0
 """Degrees of theta_out between two directions of a table from which on those in between are filled."""
 
 _FORMAT = "goniometer material 1"
+
+_PARTS = ("format", "name", "theta_in", "theta_out", "wavelengths", "brdf", "aperture", "filled", "origin")
 
 _SAME = 1e-3
 """Degrees within which two directions of an incident angle are one, with the mean of both values."""
@@ -125,17 +129,17 @@ def _row(theta_in: float, theta_out: FloatArray, brdf: FloatArray) -> Row:
 def read_tabulated(path: Path) -> Tabulated:
     """The material of a file that `write_tabulated` wrote; raises `UnfitTable` for any other."""
     try:
-        content = path.read_bytes()
-    except OSError as error:
+        content = read_bytes(path)
+    except (OSError, ValueError) as error:
+        told = error.strerror if isinstance(error, OSError) else error
         raise UnfitTable(
-            f"{path}: the material cannot be read ({error.strerror}); write one with goniometer simulate material."
+            f"{path}: the material cannot be read ({told}); write one with goniometer simulate material."
         ) from error
     try:
         if not content.startswith(b"PK"):
             raise ValueError("no .npz file")
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            return _parsed({name: stored[name] for name in stored.files}, hashlib.sha256(content).hexdigest())
-    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        return _parsed(read_npz(content, _PARTS), hashlib.sha256(content).hexdigest())
+    except (ValueError, KeyError, TypeError, EOFError, OSError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         raise UnfitTable(
             f"{path}: holds no material ({str(error) or 'it ends early'}); write one with goniometer simulate material."
         ) from error

@@ -6,7 +6,6 @@ origin of the topography.
 """
 
 import hashlib
-import io
 import struct
 import tokenize
 import zipfile
@@ -20,6 +19,7 @@ from drivers.arrays import FloatArray
 from goniometer.errors import DataFileError
 from simulators.heights import HeightField, filled, levelled
 from simulators.nms_file import read_nms
+from simulators.npz_file import read_bytes, read_npz
 
 ALIKE = 1e-4
 """Relative difference up to which distances along x and y count as equal; scales of microscopes are no better."""
@@ -29,9 +29,6 @@ MOST_MISSING = 0.5
 
 _MOST_UNEQUAL = 10.0
 """How many times further apart points may be along x than along y, or the other way round."""
-
-_LARGEST = 16384 * 16384
-"""Heights that a file may hold."""
 
 _UNREADABLE = (
     OSError,
@@ -56,9 +53,11 @@ def read_topography(path: Path) -> tuple[HeightField, dict[str, object]]:
     and if SurfaceTopography, which reads all formats but .nms and .npz, is not installed.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
     except OSError as error:
         raise DataFileError(f"{path} cannot be read: {error.strerror}.") from error
+    except ValueError as error:
+        raise DataFileError(f"{path} cannot be read: {error}.") from None
     origin: dict[str, object] = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
     suffix = path.suffix.lower()
     if suffix == ".npz":
@@ -106,11 +105,7 @@ def _read_npz(path: Path, content: bytes) -> HeightField:
     """The height map that `write_topography` wrote."""
     wanted = "heights_um [y, x], pitch_um and periodic"
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            if sum(part.file_size for part in archive.infolist()) > 8 * _LARGEST + 65536:
-                raise DataFileError(f"{path} holds more than {_LARGEST} heights.")
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            heights, pitch, periodic = (archive[name] for name in ("heights_um", "pitch_um", "periodic"))
+        heights, pitch, periodic = read_npz(content, ("heights_um", "pitch_um", "periodic")).values()
     except (zipfile.BadZipFile, zlib.error, tokenize.TokenError, *_UNREADABLE) as error:
         raise DataFileError(f"{path} is no NumPy archive with {wanted}.") from error
     if heights.dtype.kind not in "fiu" or pitch.shape or pitch.dtype.kind not in "fiu" or periodic.shape:

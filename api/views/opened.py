@@ -179,7 +179,7 @@ def _pack(filled: Filled) -> bytes:
 
 
 def _unpack(content: bytes) -> Filled:
-    with np.load(io.BytesIO(content)) as arrays:
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         told = json.loads(str(arrays["told"]))
         points = tuple(map(tuple, told["points"]))
         return Filled(**{name: arrays[name] for name in _ARRAYS}, by=tuple(told["by"]), points=points)

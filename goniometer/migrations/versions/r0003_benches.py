@@ -1,10 +1,10 @@
 """Several benches use one database: campaigns, the queue, the lease and characterisations name theirs."""
 
 from alembic import op
-from sqlalchemy import Boolean, Column, Integer, String, column, select, table
+from sqlalchemy import BigInteger, Boolean, Column, Integer, String, column, select, table
 
-revision = "0002"
-down_revision = "0001"
+revision = "0003"
+down_revision = "0002"
 
 
 def upgrade() -> None:
@@ -12,6 +12,8 @@ def upgrade() -> None:
     for name in ("campaigns", "characterisations", "queue"):
         op.add_column(name, Column("bench", String, nullable=False, server_default="bench"))
     _write_lease_anew()
+    if op.get_bind().dialect.name == "postgresql":  # whose integers have a sign, other than the number of the device
+        op.alter_column("exposures", "device_count", type_=BigInteger)
 
 
 def _write_lease_anew() -> None:

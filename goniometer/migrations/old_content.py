@@ -1,8 +1,12 @@
-"""What revision 0001 makes of datasets from before it: their numbers, in the form that it reads.
+"""What revision 0001 makes of campaigns, constants and datasets from before it, for programs from then on to read.
 
-Versions 1 and 2 stored standard uncertainties by name and whether a point was saturated, version 3 first knew sources
-of error and flags but no uncertainty of the stages' zero. What was not stated then is zero. The content hash stays what
-fits and files call the dataset by.
+A campaign of versions 1 to 4 had a step that plans no longer ask for, and the constants of versions 1 and 2 knew less
+of the bench; what is not stated is what it is by default. The hash of a campaign stays, by which it is told that one
+that had begun then is not gone on with now.
+
+Of datasets, versions 1 and 2 stored standard uncertainties by name and whether a point was saturated, version 3 first
+knew sources of error and flags but no uncertainty of the stages' zero. What was not stated then is zero. The content
+hash stays what fits and files call the dataset by.
 """
 
 import io
@@ -17,6 +21,21 @@ _SAME_INCIDENCE = 0.05
 """Degrees."""
 
 Arrays = dict[str, NDArray[Any]]
+
+
+def campaign_of(text: str) -> str:
+    """The JSON of a campaign."""
+    content = json.loads(text)
+    content["resolution"].pop("coarse_step", None)
+    return json.dumps(content, sort_keys=True, separators=(",", ":"))
+
+
+def constants_of(text: str) -> str:
+    """The JSON of the constants of a scan."""
+    content = json.loads(text)
+    if "bench" not in content:
+        content["bench"] = {name: content.pop(name) for name in ("gain", "u_angle", "aperture")}
+    return json.dumps(content, sort_keys=True)
 
 
 def columns_of(row: dict[str, Any]) -> dict[str, Any]:
