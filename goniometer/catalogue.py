@@ -109,7 +109,9 @@ class Catalogue(Database):
         if wanted.kind is not None:
             query = query.where(here.kind == wanted.kind)
         if wanted.flag is not None:
-            query = query.where(here.flags.bitwise_and(int(wanted.flag)) != 0)
+            # of the index alone, for few rows have a rare flag
+            having = select(here.id).where(here.flags.bitwise_and(int(wanted.flag)) != 0)
+            query = query.where(here.id.in_(having))
         if wanted.since is not None:
             query = query.where(here.created >= wanted.since)
         if wanted.until is not None:

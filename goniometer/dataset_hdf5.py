@@ -98,7 +98,7 @@ def dataset_to_hdf5(dataset: Dataset, raw: Raw | None = None) -> bytes:
         _write_checks(_group(entry, "checks", "NXcollection"), dataset)
         for name, (constants, exposures) in (raw or {}).items():
             holder = entry["raw"] if "raw" in entry else _group(entry, "raw", "NXcollection")
-            _write_exposures(_group(holder, name, "NXcollection"), constants, exposures)
+            write_exposures(_group(holder, name, "NXcollection"), constants, exposures)
     return buffer.getvalue()
 
 
@@ -160,7 +160,7 @@ def _text() -> Any:
     return h5py.string_dtype()
 
 
-def _write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
+def write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
     """Raw spectra of one scan in the order in which they were written; NaN where a dark has no direction."""
     group["constants"] = constants_json(constants)
     group["constants"].attrs["type"] = "application/json"

@@ -8,8 +8,9 @@ from typing import Any
 from sqlalchemy import BindParameter, Select, and_, bindparam, case, exists, func, select
 
 from goniometer import tables
+from goniometer.archive_file import whole_exposures
 from goniometer.database import Database
-from goniometer.records import Exposure, Phase, Point, Scan, to_exposure, to_point, to_scan
+from goniometer.records import Exposure, Phase, Point, Scan, to_point, to_scan
 
 # Built once, for pages ask all the time while a scan runs.
 _POINT = tables.points.c
@@ -187,4 +188,4 @@ def exposure(database: Database, exposure_id: int) -> tuple[int, Exposure]:
     """One exposure and the id of its scan; raises `NotInStore`."""
     query = select(tables.exposures).where(tables.exposures.c.id == exposure_id)
     row = database.row(query, f"exposure {exposure_id}")
-    return row.scan_id, to_exposure(row)
+    return row.scan_id, whole_exposures(database, [row])[0]

@@ -202,11 +202,15 @@ def to_point(row: Row[Any]) -> Point:
     )
 
 
-def to_exposure(row: Row[Any]) -> Exposure:
-    """A row of `tables.exposures`; raises `RawDamaged` where it is not as it was written."""
-    if exposure_hash(row._mapping) != row.sha256:
+def to_exposure(row: Row[Any], archived: bytes | None = None) -> Exposure:
+    """A row of `tables.exposures`, with its counts from an archive where they are `archived`.
+
+    Raises `RawDamaged` where it is not as it was written.
+    """
+    kept = row.counts if archived is None else archived
+    if exposure_hash({**row._mapping, "counts": kept}) != row.sha256:
         raise RawDamaged(row.id)
-    counts = np.frombuffer(row.counts, dtype="<u4").astype(np.uint32)
+    counts = np.frombuffer(kept, dtype="<u4").astype(np.uint32)
     return Exposure(
         row.id,
         row.kind,

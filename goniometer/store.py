@@ -14,6 +14,7 @@ from sqlalchemy import bindparam, case, delete, func, insert, literal, or_, sele
 
 from drivers.interfaces import Spectrum
 from goniometer import look_up, tables
+from goniometer.archive_file import whole_exposures
 from goniometer.campaign import Campaign, changed_content
 from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
@@ -37,7 +38,6 @@ from goniometer.records import (
     exposure_row,
     now,
     to_constants,
-    to_exposure,
     to_point,
     to_scan,
 )
@@ -408,7 +408,7 @@ class Store(Derived):
         """All raw exposures of a scan that are of these kinds, in the order in which they were written."""
         here = tables.exposures.c
         query = select(tables.exposures).where(here.scan_id == scan_id, here.kind.in_(kinds)).order_by(here.id)
-        return [to_exposure(row) for row in self.rows(query)]
+        return whole_exposures(self, self.rows(query))
 
     def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:
         """When, where and for how long all raw exposures of a scan were taken whose id is greater than `after`."""
