@@ -5,8 +5,8 @@ sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated dataset
 characterisations of a bench stand alone. A campaign is measured on one bench, whose name it has. What the service needs
 besides stands in `goniometer.service_tables`. Exposures and everything derived are only ever added: triggers refuse to
 change or delete them. Only the counts of an exposure may move to a file that `archives` names, and back; meanwhile they
-are empty here, and their hash stays. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of
-the bench that measured; those of two sessions cannot be compared.
+are empty here, and their hash stays. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session
+of the bench that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
