@@ -328,7 +328,9 @@ def _url(where: Path | str) -> URL:
 def _configure_sqlite(connection: Any, _: object) -> None:
     """Keep what is committed through a power cut, let others read meanwhile, and check references."""
     cursor = connection.cursor()
-    for pragma in ("busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+    # the first matters before there is any table: the room that an archive leaves can be given back to the disk
+    settings = ("auto_vacuum=INCREMENTAL", "busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL")
+    for pragma in (*settings, "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 
