@@ -8,14 +8,17 @@ of every later life, once and as it was ordered, and the log of who did what mus
 """
 
 import argparse
+import importlib
 import json
 import os
 import random
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,9 +31,12 @@ from api.tokens import create_token, ensure_first_user
 from goniometer.database import Database
 from goniometer.integrity import check
 from goniometer.store import Store
+from tests.api.nursery import HEAVY
 from tests.benchmarks.kills import live, opened
 from tests.served import TINY
 
+LONGEST = 1.0
+"""Seconds that a life lasts at most, once the service has confirmed something."""
 PATIENCE = 120.0
 """Seconds after which a service that does not answer is called stuck."""
 
@@ -70,14 +76,17 @@ def wait(condition: Callable[[], Any], child: int) -> Any:
     return found
 
 
-def order(client: httpx.Client, life: int, until: float) -> list[dict[str, Any]]:
-    """Queue campaigns until then; returns the entries that the service confirmed."""
-    confirmed = []
-    while time.monotonic() < until:
-        campaign = TINY | {"name": f"Life {life}, campaign {len(confirmed)}"}
-        answer = client.post("/api/queue", json={"campaign": campaign})
-        answer.raise_for_status()
-        confirmed.append(answer.json())
+def order(client: httpx.Client, life: int, then: Callable[[], None]) -> list[dict[str, Any]]:
+    """Queue campaigns until the service is gone; `then` is called once it has confirmed the first. Returns those."""
+    confirmed: list[dict[str, Any]] = []
+    with suppress(httpx.TransportError):
+        while True:
+            campaign = TINY | {"name": f"Life {life}, campaign {len(confirmed)}"}
+            answer = client.post("/api/queue", json={"campaign": campaign})
+            answer.raise_for_status()
+            confirmed.append(answer.json())
+            if len(confirmed) == 1:
+                then()
     return confirmed
 
 
@@ -112,6 +121,8 @@ def main() -> None:
     parser.add_argument("--restarts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
+    for heavy in HEAVY:  # once, and not in every life
+        importlib.import_module(heavy)
     chance = random.Random(asked.seed)
     began = time.monotonic()
     confirmed: list[dict[str, Any]] = []
@@ -125,8 +136,9 @@ def main() -> None:
             with httpx.Client(base_url=urls(file)[-1], headers=headers, timeout=PATIENCE, trust_env=False) as client:
                 wait(lambda client=client: _answers(client), child)
                 faults += missing(file, confirmed)
-                confirmed += order(client, life, time.monotonic() + chance.uniform(0.0, 0.5))
-            os.killpg(child, signal.SIGKILL)
+                killer = threading.Timer(chance.uniform(0.0, LONGEST), os.killpg, (child, signal.SIGKILL))
+                confirmed += order(client, life, killer.start)
+            killer.join()
             os.waitpid(child, 0)
         faults += missing(file, confirmed)
         database = Database.as_it_is(file)
