@@ -52,6 +52,7 @@ def work(database: str, output: str, cluster: str | None, job_id: int, kind: str
     `cluster` is the address of the Dask scheduler that does heavy work, None for this machine.
     """
     wanted = KINDS[kind]
+    assert wanted.run is not None  # else it would be done elsewhere
     store = Store.open(database if "://" in database else Path(database))
     here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell, cluster)
     try:

@@ -5,6 +5,7 @@ through an executor of its own with one process, the leader of a group: to cance
 that the job has started, and nothing else.
 """
 
+import json
 import logging
 import multiprocessing
 import os
@@ -20,13 +21,17 @@ from time import monotonic
 
 from pydantic import BaseModel
 
+from analysis.fit_json import strict_json
 from api import job_rows
 from api.errors import Conflict
 from api.events import Events
 from api.job_kinds import KINDS
 from api.job_rows import BEAT, OPEN, Job
 from api.job_worker import Ended, begin_worker, work
+from api.link import Link
 from api.views.jobs import job_view
+from drivers.errors import DriverError
+from goniometer.errors import GoniometerError
 from goniometer.store import Store
 
 log = logging.getLogger(__name__)
@@ -46,17 +51,26 @@ class Jobs:
     """The jobs that this process answers for; `close` ends it."""
 
     def __init__(
-        self, store: Store, database: Path | str, output: Path, events: Events, cluster: str | None = None
+        self,
+        store: Store,
+        database: Path | str,
+        output: Path,
+        events: Events,
+        cluster: str | None = None,
+        bench: Link | None = None,
     ) -> None:
         """`database` is where `store` is, and `output` the folder of all results.
 
-        `cluster` is the address of the Dask scheduler to which jobs send heavy work; None for this machine.
+        `bench` is the process that obeys what is a command of the bench, and `cluster` the address of the Dask
+        scheduler to which jobs send heavy work, None for this machine.
         """
         self._store = store
         self._database = str(database)
         self._output = output
         self._events = events
         self._cluster = cluster
+        self._bench = bench
+        self._at_bench: set[int] = set()
         self._me = job_rows.runner()
         self._groups: dict[int, int] = {}
         self._cancelled: set[int] = set()
@@ -85,7 +99,7 @@ class Jobs:
             job = job_rows.job(self._store, job_id)
             if job.state not in OPEN:
                 raise Conflict(f"Job {job_id} is over: it is {job.state}")
-            if job_id not in self._groups and job.state == "running":
+            if job_id not in self._groups and job_id not in self._at_bench and job.state == "running":
                 raise Conflict(f"Job {job_id} runs in another service on this database; cancel it there")
             self._cancelled.add(job_id)
             job_rows.finish(self._store, job_id, "cancelled", "Somebody cancelled it.")
@@ -97,7 +111,7 @@ class Jobs:
         """End all jobs; those that were not over are interrupted, and can be run again. Harmless when repeated."""
         self._closed.set()
         with self._lock:
-            for job_id in list(self._groups):
+            for job_id in (*self._groups, *self._at_bench):
                 self._end(job_id)
         for slots in (self._long, self._short):
             slots.shutdown(wait=True, cancel_futures=True)
@@ -111,7 +125,8 @@ class Jobs:
         job = job_rows.add_job(self._store, kind, arguments, who, self._me)
         self._publish(job.id)
         slots = self._long if KINDS[kind].long else self._short
-        slots.submit(self._run, job.id, kind, arguments).add_done_callback(_log_fault)
+        run = self._run if KINDS[kind].run is not None else self._command
+        slots.submit(run, job.id, kind, arguments).add_done_callback(_log_fault)
         return job
 
     def _run(self, job_id: int, kind: str, arguments: str) -> None:
@@ -135,6 +150,31 @@ class Jobs:
             del self._groups[job_id]
             self._cancelled.discard(job_id)
         self._conclude(job_id, future)
+        self._publish(job_id)
+
+    def _command(self, job_id: int, kind: str, arguments: str) -> None:
+        """Have the bench do a job, follow it in this thread, and write down how it ended."""
+        assert self._bench is not None  # there is one where there is a service
+        with self._lock:
+            if self._closed.is_set() or not job_rows.begin(self._store, job_id):
+                self._cancelled.discard(job_id)
+                return
+            self._at_bench.add(job_id)
+        self._publish(job_id)
+
+        def tell(share: float, words: str) -> None:
+            job_rows.tell(self._store, job_id, share, words)
+            self._publish(job_id)
+
+        try:
+            found = self._bench.ask(kind, tell, **json.loads(arguments)).result()
+        except (GoniometerError, DriverError) as error:
+            job_rows.finish(self._store, job_id, "failed", str(error))
+        else:
+            job_rows.finish(self._store, job_id, "done", result=strict_json(found))
+        with self._lock:
+            self._at_bench.discard(job_id)
+            self._cancelled.discard(job_id)
         self._publish(job_id)
 
     def _follow(self, job_id: int, future: "Future[Ended]", heard: Connection) -> None:
@@ -171,7 +211,13 @@ class Jobs:
             job_rows.finish(self._store, job_id, "failed", "It met a fault of its own; the log says which.")
 
     def _end(self, job_id: int) -> None:
-        """Kill the group of a job, if its process has begun; else `_follow` does as soon as it has."""
+        """Kill the group of a job, if its process has begun; else `_follow` does as soon as it has.
+
+        What the bench does is stopped.
+        """
+        if job_id in self._at_bench and self._bench is not None:
+            with suppress(Conflict):  # it has ended
+                self._bench.ask("stop", lambda *_: None)
         group = self._groups.get(job_id)
         if group:
             with suppress(ProcessLookupError):

@@ -61,7 +61,7 @@ def open_live(
     store = Store.open(database, bench)
     events = Events()
     worker = Link(Task(database, output, settings, url, mounts_by_itself, bench, cluster), store, events)
-    jobs = Jobs(store, database, output, events, cluster)
+    jobs = Jobs(store, database, output, events, cluster, worker)
     datasets = Datasets(store, output / "cache")
     try:
         yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())
