@@ -29,9 +29,10 @@ from api.job_kinds import KINDS
 from api.job_rows import BEAT, OPEN, Job
 from api.job_worker import Ended, begin_worker, work
 from api.link import Link
+from api.retention import KEPT, Retention, prune
 from api.views.jobs import job_view
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError
+from goniometer.errors import GoniometerError, StoreError
 from goniometer.store import Store
 
 log = logging.getLogger(__name__)
@@ -42,6 +43,11 @@ LONG, SHORT = 1, max(1, (os.cpu_count() or 2) - 1)
 # What a job needs takes seconds to load; a server has it loaded, and a job is a fork of that, which has no threads.
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([begin_worker.__module__])
+
+PRUNE_EVERY = 3600.0
+"""Seconds between two looks for jobs that are to be deleted."""
+AGAIN = 5.0
+"""Seconds until a database that refused is tried again."""
 
 _TOLD = 0.5
 """Seconds between two notes of how far a job is."""
@@ -58,11 +64,12 @@ class Jobs:
         events: Events,
         cluster: str | None = None,
         bench: Link | None = None,
+        kept: Retention = KEPT,
     ) -> None:
         """`database` is where `store` is, and `output` the folder of all results.
 
         `bench` is the process that obeys what is a command of the bench, and `cluster` the address of the Dask
-        scheduler to which jobs send heavy work, None for this machine.
+        scheduler to which jobs send heavy work, None for this machine. Of jobs that are over, so many are `kept`.
         """
         self._store = store
         self._database = str(database)
@@ -70,6 +77,7 @@ class Jobs:
         self._events = events
         self._cluster = cluster
         self._bench = bench
+        self._kept = kept
         self._at_bench: set[int] = set()
         self._me = job_rows.runner()
         self._groups: dict[int, int] = {}
@@ -163,15 +171,16 @@ class Jobs:
         self._publish(job_id)
 
         def tell(share: float, words: str) -> None:
-            job_rows.tell(self._store, job_id, share, words)
-            self._publish(job_id)
+            with suppress(StoreError):  # the next one tells more
+                job_rows.tell(self._store, job_id, share, words)
+                self._publish(job_id)
 
         try:
             found = self._bench.ask(kind, tell, **json.loads(arguments)).result()
         except (GoniometerError, DriverError) as error:
-            job_rows.finish(self._store, job_id, "failed", str(error))
+            self._write_down(job_id, "failed", str(error))
         else:
-            job_rows.finish(self._store, job_id, "done", result=strict_json(found))
+            self._write_down(job_id, "done", "", strict_json(found))
         with self._lock:
             self._at_bench.discard(job_id)
             self._cancelled.discard(job_id)
@@ -192,23 +201,24 @@ class Jobs:
                         self._end(job_id)
             elif message is not None and monotonic() - last >= _TOLD:
                 last = monotonic()
-                job_rows.tell(self._store, job_id, *message)
-                self._publish(job_id)
+                with suppress(StoreError):  # the next one tells more
+                    job_rows.tell(self._store, job_id, *message)
+                    self._publish(job_id)
 
     def _conclude(self, job_id: int, future: "Future[Ended]") -> None:
         fault = future.exception()
         if fault is None:
             ended = future.result()
             state: job_rows.State = "failed" if ended.fault else "done"
-            job_rows.finish(self._store, job_id, state, ended.fault, ended.result, ended.page)
+            self._write_down(job_id, state, ended.fault, ended.result, ended.page)
         elif isinstance(fault, BrokenProcessPool):
             if self._closed.is_set():
                 return  # `close` has ended it, and says so
             reason = "Its process was ended from outside, perhaps for want of memory; run it again."
-            job_rows.finish(self._store, job_id, "failed", reason)
+            self._write_down(job_id, "failed", reason)
         else:
             log.error("Job %s failed", job_id, exc_info=fault)
-            job_rows.finish(self._store, job_id, "failed", "It met a fault of its own; the log says which.")
+            self._write_down(job_id, "failed", "It met a fault of its own; the log says which.")
 
     def _end(self, job_id: int) -> None:
         """Kill the group of a job, if its process has begun; else `_follow` does as soon as it has.
@@ -224,9 +234,28 @@ class Jobs:
                 os.killpg(group, signal.SIGKILL)
 
     def _beat(self) -> None:
+        """Show signs of life, and delete what is old."""
+        pruned = -PRUNE_EVERY
         while not self._closed.wait(BEAT):
-            job_rows.beat(self._store, self._me)
-            self._look_after()
+            try:
+                job_rows.beat(self._store, self._me)
+                self._look_after()
+                if monotonic() - pruned >= PRUNE_EVERY:
+                    pruned = monotonic()
+                    prune(self._store, self._output, self._kept)
+            except StoreError as error:
+                log.warning("Jobs are not looked after: %s", error)
+
+    def _write_down(self, job_id: int, state: job_rows.State, *how: str | None) -> None:
+        """Put down how a job ended, as `job_rows.finish`, as soon as the database lets it."""
+        while True:
+            try:
+                job_rows.finish(self._store, job_id, state, *how)
+                return
+            except StoreError as error:
+                log.error("The end of job %s cannot be written: %s", job_id, error)
+                if self._closed.wait(AGAIN):
+                    return
 
     def _look_after(self) -> None:
         for job_id in job_rows.interrupt_orphans(self._store, self._me):

@@ -92,7 +92,7 @@ def test_the_model_that_a_scene_needs_is_the_one_that_python_finds(service: Serv
     assert [(each["model"], each["state"]) for each in found["rungs"]] == [
         (each["model"], each["state"]) for each in here["rungs"]
     ]
-    refused = client.post("/api/choose", asked | {"scene": "material: [{sphere: -1}]"})
+    refused = client.post("/api/choose", asked | {"scene": SUN.replace("sphere: 1", "sphere: -1")})
     assert "sphere" in ended(client, refused)["reason"]
 
 
