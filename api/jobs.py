@@ -246,11 +246,13 @@ class Jobs:
             except StoreError as error:
                 log.warning("Jobs are not looked after: %s", error)
 
-    def _write_down(self, job_id: int, state: job_rows.State, *how: str | None) -> None:
+    def _write_down(
+        self, job_id: int, state: job_rows.State, reason: str, result: str | None = None, page: str | None = None
+    ) -> None:
         """Put down how a job ended, as `job_rows.finish`, as soon as the database lets it."""
         while True:
             try:
-                job_rows.finish(self._store, job_id, state, *how)
+                job_rows.finish(self._store, job_id, state, reason, result, page)
                 return
             except StoreError as error:
                 log.error("The end of job %s cannot be written: %s", job_id, error)
