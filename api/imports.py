@@ -15,6 +15,7 @@ from goniometer.imported import Stated, imported_dataset
 from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
 from goniometer.published_json import read_published_json
 from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
+from goniometer.wording import check_name
 
 FileFormat = Literal["published JSON", "BiRD JSON", "raw text", "table"]
 
@@ -82,7 +83,11 @@ def imported_file(asked: Request) -> Dataset:
     assert asked.angle_uncertainty is not None
     stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
     lineage |= more | {"notes": [*notes, *tidying]}
-    return imported_dataset(asked.sample or _name_in_file(more) or asked.path.stem, table, stated, lineage)
+    try:
+        sample = check_name(asked.sample or _name_in_file(more) or asked.path.stem)
+    except ValueError as error:
+        raise DataFileError(f"{asked.path}: {error}; say with --sample what the sample is called.") from None
+    return imported_dataset(sample, table, stated, lineage)
 
 
 def file_format(text: str) -> FileFormat:

@@ -9,13 +9,12 @@ from api import queue
 from api.display import duration
 from api.live import Live
 from api.preview import preview
-from api.service import ACTIVE_PHASES
 from api.state import BenchState, Prompt, Running, Span
 from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.duration import DEAD_TIME
 from goniometer.plan_spec import ORDINARY
-from goniometer.records import Expected, Kind, Outcome, Scan
+from goniometer.records import ACTIVE_PHASES, Expected, Kind, Outcome, Scan
 from goniometer.route import Motion
 
 EntryPhase = Literal["idle", "queued", "running", "pausing", "paused", "aborting", "fitting", "finished"]

@@ -24,19 +24,17 @@ from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
+from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.doctor import Bench, Finding, examine, release, visit
 from goniometer.errors import BenchUnfit, InputError, NotInStore
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset
-from goniometer.records import Scan
+from goniometer.records import ACTIVE_PHASES, Scan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
-
-ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
-"""Phases of a scan that some process is running, or was when it was killed."""
 
 SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
 
@@ -304,13 +302,11 @@ def active_scan(store: Store, bench: str | None = None) -> Scan:
 
     Raises `NotInStore` where nothing runs, and `InputError` where several do and no bench is named.
     """
-    benches = store.benches()
-    in_use = {each for each in set(benches.values()) if bench in {None, each} and store.in_use(each)}
-    active = {
-        benches[scan.campaign_id]: scan
-        for scan in store.scans()
-        if scan.phase in ACTIVE_PHASES and benches[scan.campaign_id] in in_use
+    found = {
+        look_up.campaign_row(store, scan.campaign_id).bench: scan
+        for scan in look_up.scans_in_phases(store, ACTIVE_PHASES)
     }
+    active = {each: scan for each, scan in found.items() if bench in {None, each} and store.in_use(each)}
     if not active:
         raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
     if len(active) > 1:

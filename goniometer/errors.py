@@ -12,6 +12,7 @@ GoniometerError
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
 │   ├── RawDamaged        a raw exposure is not as it was written
+│   ├── ArchiveMissing    a file of archived counts is not where it was written
 │   ├── StoreOutdated     its tables are those of an older version of this program
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ConditionsUnmet       what must hold before a scan did not in time
@@ -103,6 +104,17 @@ class RawDamaged(StoreError):
             f"restore it from a backup (goniometer db restore), and see with goniometer db check what else is wrong"
         )
         self.exposure_id = exposure_id
+
+
+class ArchiveMissing(StoreError):
+    """The file `path` with the counts of a scan is not where it was written, or is not that file."""
+
+    def __init__(self, scan_id: int, path: str, why: str) -> None:
+        super().__init__(
+            f"The raw counts of scan {scan_id} are archived in {path}, {why}; put the file back there, or say where it "
+            f"is now: goniometer db archive --scan {scan_id} --to FOLDER"
+        )
+        self.path = path
 
 
 class NotInStore(StoreError):

@@ -9,14 +9,13 @@ from api import queue
 from api.errors import Conflict
 from api.live import Live
 from api.queue_view import EntryView, entry_view
-from api.service import ACTIVE_PHASES
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
 from goniometer.errors import NotInStore
-from goniometer.records import Command
+from goniometer.records import ACTIVE_PHASES, Command
 
 router = APIRouter(prefix="/api/queue", tags=["queue"])
 
