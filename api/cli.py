@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
 
 from analysis.distributions import Distribution
 from analysis.errors import AnalysisError
@@ -56,7 +55,7 @@ from api.preview import drawing, preview
 from api.products import HowToFit, fit_datasets, fit_lines, report_dataset
 from api.service import Watch, active_scan, diagnose, run
 from api.settings import load_instrument
-from api.terminal import ask_to_mount, screen, wait
+from api.terminal import Terminal, ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer import look_up
 from goniometer.campaign_file import load_campaign
@@ -107,7 +106,7 @@ def demo(
         _fail_for(result.failures)
         return
     _show(result.samples)
-    Console().print(
+    Terminal().print(
         f"Took {duration(result.seconds)} here; the bench would have needed {duration(result.bench_seconds)}."
     )
     _fail_for(result.failures)
@@ -171,7 +170,7 @@ def doctor(
     if as_json:
         emit({"fit": fit, "findings": [asdict(finding) for finding in findings]})
     else:
-        out = Console()
+        out = Terminal()
         for finding in findings:
             style = "red" if finding.problems else None
             out.print(finding.line(), style=style, markup=False, highlight=False, soft_wrap=True)
@@ -186,7 +185,7 @@ def _fail_for(failures: tuple[str, ...]) -> None:
 
 
 def _show(samples: list[SampleOutcome]) -> None:
-    out = Console()
+    out = Terminal()
     out.print(table(samples))
     for line in remarks(samples):
         out.print(line, markup=False, highlight=False)
@@ -208,7 +207,7 @@ def plan(
     if as_json:
         emit(asdict(found) | {"path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for line in found.lines():
         out.print(line, markup=False, highlight=False)
     if written is not None:
@@ -260,7 +259,7 @@ def status(
             }
         )
         return
-    out = Console()
+    out = Terminal()
     if left_out["campaigns"]:
         out.print(f"Older campaigns, shown with --last: {left_out['campaigns']}", highlight=False)
     for scan, entry in zip(scans, found, strict=True):
@@ -291,7 +290,7 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
         else:
             name = called(scan.name, scan.kind)
             told = f"Asked the scan of {name} to {verb}; it obeys after the point in hand, an abort at once."
-            Console().print(told, markup=False, highlight=False)
+            Terminal().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
     return command
@@ -332,7 +331,7 @@ def fit(
             found.append(each)
             if not as_json:
                 for line in fit_lines(each):
-                    Console().print(line, markup=False, highlight=False)
+                    Terminal().print(line, markup=False, highlight=False)
     if as_json:
         emit(found[0] if len(found) == 1 else {"datasets": found})
 

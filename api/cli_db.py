@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from api import audit
 from api.arguments import DATABASE, AsJson, emit, existing
 from api.logged import Logged, account
+from api.terminal import Terminal
 from goniometer.archiving import Moved, archive_scan, finished_before, give_back, unarchive_scan
 from goniometer.backup import back_up, restore
 from goniometer.database import Database, shown_place
@@ -160,6 +160,6 @@ def _tell(found: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     if as_json:
         emit(found)
         return
-    out = Console()
+    out = Terminal()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from analysis.brdf_fit import BRDF_MODELS
 from analysis.bsdf_search import Budget
@@ -12,6 +11,7 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_da
 from api.derive import Export
 from api.exports import FORMATS, Options, export_dataset
 from api.logged import Logged
+from api.terminal import Terminal
 
 _ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
 
@@ -72,7 +72,7 @@ def tell_export(written: Export, *, as_json: bool) -> None:
     if as_json:
         emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256} | written.facts)
         return
-    out = Console()
+    out = Terminal()
     out.print(f"Wrote {written.path}", markup=False, highlight=False)
     for line in written.notes:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -21,8 +21,8 @@ from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
 from analysis.results import SampleAnalysis
 from api.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
+from api.fitting import run_facts
 from api.outcome import STATED
-from api.service import run_facts
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import last_file
 from goniometer.errors import InputError

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from analysis.grating_figures import binned_spectra_figure, orders_over_spacing, slopes_over_angle
@@ -16,6 +15,7 @@ from analysis.page import figure
 from api.arguments import AsJson, emit
 from api.logged import Logged
 from api.simulations import Page, store_computed, write_page
+from api.terminal import Terminal
 from drivers.arrays import FloatArray
 from simulators.computed import Computed
 from simulators.gratings import (
@@ -92,7 +92,7 @@ def grating_command(
     if as_json:
         emit(_content(found, incident, smallest_period, largest_period, even_in, dataset, written))
         return
-    out = Console()
+    out = Terminal()
     out.print(_table(found))
     for line in _told(found, incident, smallest_period, largest_period):
         out.print(line, markup=False, highlight=False)

@@ -48,12 +48,16 @@ def restore(backup: Path, where: Path | str, *, replace: bool) -> Path | None:
     with place.faults(), place.exclusive(everywhere=True), _copied(backup, file, str(backup)) as part:
         kept = None
         if there:
-            moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-            kept = file.with_name(f"{file.name}.replaced-{moment}")
+            kept = beside(file, "replaced")
             _settle(file, kept)
             os.link(file, kept)
         os.rename(part, file)
         return kept
+
+
+def beside(file: Path, what: str) -> Path:
+    """A name for a copy of `file` in its folder that no other copy has, however soon the next one is made."""
+    return file.with_name(f"{file.name}.{what}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%S.%fZ')}")
 
 
 def _file_of(database: Database) -> Path:

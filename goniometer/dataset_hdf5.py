@@ -32,7 +32,7 @@ from goniometer.dataset_document import (
     document,
     parsed,
 )
-from goniometer.errors import DataFileError, InputError
+from goniometer.errors import DataFileError, OptionError
 from goniometer.plain_hdf5 import PlainHdf5, is_plain
 from goniometer.records import Exposure, constants_json
 from goniometer.store import Store
@@ -56,7 +56,8 @@ def raw_of(store: Store, dataset_id: int) -> Raw:
     Raises `InputError` for a dataset that was made of no raw data in this database.
     """
     if store.scan_of(dataset_id) is None:
-        raise InputError(f"Dataset {dataset_id} was made of no raw data in this database; export it without --raw.")
+        told = f"Dataset {dataset_id} was made of no raw data in this database; export it without {{raw}}."
+        raise OptionError(told, "raw")
     lineage = store.lineage(dataset_id)
     between = lineage["scans_between"]
     assert isinstance(between, list)  # as calibration wrote it

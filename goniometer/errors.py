@@ -6,6 +6,7 @@ GoniometerError
 │   ├── ConfigurationError  an instrument file
 │   ├── GeometryError     an angle that the bench cannot take
 │   ├── DataFileError     a file of measured data
+│   ├── OptionError       something that must be said, or has no use; each face calls it by its own name
 │   └── CertificateError  a reference certificate
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
@@ -54,6 +55,24 @@ class GeometryError(InputError):
 
 class DataFileError(InputError):
     """A file of data measured elsewhere that cannot be imported."""
+
+
+class OptionError(InputError):
+    """Something that must be said, or has no use.
+
+    `message` names it in braces, as "{dark_subtracted}", by the names of `fields`. As text, it names the options of the
+    command line, which `called` has where they are not called as the field; `by_field` is for who sends JSON.
+    """
+
+    def __init__(self, message: str, *fields: str, **called: str) -> None:
+        super().__init__(_named(message, {name: f"--{name.replace('_', '-')}" for name in fields} | called))
+        self.by_field = str(InputError(_named(message, {name: name for name in (*fields, *called)})))
+
+
+def _named(message: str, names: dict[str, str]) -> str:
+    for field, name in names.items():
+        message = message.replace(f"{{{field}}}", name)
+    return message
 
 
 class CertificateError(InputError):

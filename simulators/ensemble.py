@@ -22,7 +22,7 @@ from simulators.regimes import REGIMES
 from simulators.stability import METHODS, Estimate, Job, Run, run
 
 AT_ONCE = 4
-"""Runs that are submitted together: about a second of work."""
+"""Runs that are submitted together: a tenth of a second of work or more."""
 
 
 @dataclass(frozen=True)

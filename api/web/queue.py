@@ -154,7 +154,7 @@ def _request(live: Live, number: int, command: Command) -> EntryView:
     if active is None:
         raise Conflict(
             f'Entry {number}, "{wanted.name}", cannot {command} just now, as no scan of it is under way: the bench is '
-            f"made ready, or fits are made; try again in a moment, or stop the bench"
+            f"made ready, or all is measured and its fits are made; try again in a moment, or stop the bench"
         )
     if command == "resume" and active.phase == "running":
         return _view(live, wanted)
