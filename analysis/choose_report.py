@@ -1,6 +1,8 @@
 """The page of a choice: what the scene looks like by the measurement and by the model, and why this model."""
 
+from dataclasses import dataclass
 from html import escape
+from typing import Literal
 
 import numpy as np
 
@@ -116,36 +118,59 @@ def choice_body(choice: Choice, sample: str, scene: str, rendered: Verification 
 
 def pictures(choice: Choice) -> str:
     """The scene by the measurement and by the chosen model, and their difference."""
-    picture = choice.picture
-    panels = [image_panel(_rgb(choice, picture.reference), "by the measurement")]
+    panels = [image_panel(each.image, each.words) for each in shaded(choice)]
     caption = "The scene by the measurement; no model was chosen."
-    if picture.chosen is not None and choice.chosen is not None:
-        difference = picture.display.difference(picture.reference, picture.chosen)
-        top = _brightest(choice, difference)
-        panels += [
-            image_panel(_rgb(choice, picture.chosen), f"by {RUNG_NAMES[choice.chosen.rung.name]}"),
-            image_panel(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
-        ]
+    if len(panels) > 1:
         caption = "The scene by the measurement and by the chosen model with one exposure, and CIEDE2000 between them."
     return figure(panels, caption, "three")
 
 
-def _brightest(choice: Choice, difference: FloatArray) -> float:
-    """The dE00 that is drawn brightest."""
-    return max(2 * choice.tolerance, float(np.percentile(difference, 99)))
+@dataclass(frozen=True)
+class Panel:
+    """An image with what it is."""
+
+    name: Literal["measurement", "model", "difference"]
+    words: str
+    image: FloatArray
+    """[rows, columns, 4], display-encoded; clear where something else is seen than the material."""
+    top: float | None = None
+    """Of a difference: the dE00 that is drawn brightest."""
+
+
+def shaded(choice: Choice) -> list[Panel]:
+    """The scene by the measurement and, where one was chosen, by the model, and their difference; shaded here."""
+    picture = choice.picture
+    if picture.chosen is None or choice.chosen is None:
+        return [Panel("measurement", "by the measurement", _rgb(choice, picture.reference))]
+    difference = picture.display.difference(picture.reference, picture.chosen)
+    model = RUNG_NAMES[choice.chosen.rung.name]
+    return _panels(choice, picture.reference, picture.chosen, difference, f"by {model}", "by the measurement")
+
+
+def rendered_panels(choice: Choice, rendered: Verification) -> list[Panel]:
+    """The same as Mitsuba has rendered it."""
+    valid = rendered.valid
+    difference = np.zeros(valid.size)
+    difference[valid] = choice.picture.display.difference(rendered.reference[valid], rendered.chosen[valid])
+    images = np.nan_to_num(rendered.reference), np.nan_to_num(rendered.chosen)
+    return _panels(choice, *images, difference, "rendered by the model", "rendered by the measurement")
+
+
+def _panels(
+    choice: Choice, reference: FloatArray, chosen: FloatArray, difference: FloatArray, model: str, measurement: str
+) -> list[Panel]:
+    top = max(2 * choice.tolerance, float(np.percentile(difference, 99)))
+    heat = _heat(choice, difference / top)
+    return [
+        Panel("measurement", measurement, _rgb(choice, reference)),
+        Panel("model", model, _rgb(choice, chosen)),
+        Panel("difference", f"difference, dark 0 to bright {top:.2g}", heat, top),
+    ]
 
 
 def _rendered(choice: Choice, rendered: Verification) -> str:
     """The chapter of the rendering."""
-    valid = rendered.valid
-    difference = np.zeros(valid.size)
-    difference[valid] = choice.picture.display.difference(rendered.reference[valid], rendered.chosen[valid])
-    top = _brightest(choice, difference)
-    panels = [
-        image_panel(_rgb(choice, np.nan_to_num(rendered.reference)), "rendered by the measurement"),
-        image_panel(_rgb(choice, np.nan_to_num(rendered.chosen)), "rendered by the model"),
-        image_panel(_heat(choice, difference / top), f"difference, dark 0 to bright {top:.2g}"),
-    ]
+    panels = [image_panel(each.image, each.words) for each in rendered_panels(choice, rendered)]
     return (
         "<h2>Rendered</h2>"
         + figure(panels, "The same scene and exposure, rendered by Mitsuba with the same random numbers.", "three")

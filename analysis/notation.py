@@ -28,7 +28,7 @@ def with_uncertainty(value: float, standard_uncertainty: float) -> str:
     if digits == 100:  # 0.0996 is 0.10, with two digits again
         digits, last = 10, last + 1
     places = power - last
-    scaled = Decimal(repr(value)).scaleb(-power)
+    scaled = Decimal(repr(float(value))).scaleb(-power)
     if places <= 0:
         return f"{round(scaled, places) + 0:.0f}({digits * 10**-places:d}){_times(power)}".replace("-", "−")
     shown = f"{digits / 10**places:.{max(places, 0)}f}" if places == 1 and digits >= 10 else str(digits)

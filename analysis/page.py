@@ -27,13 +27,18 @@ def figure(panels: list[str], caption: str, kind: str = "") -> str:
     return f'<figure><div class="panels {kind}">{"".join(panels)}</div><figcaption>{caption}</figcaption></figure>'
 
 
-def image_panel(image: FloatArray, words: str) -> str:
-    """An image [rows, columns, 3 or 4], display-encoded from 0 to 1, with words below it."""
+def png(image: FloatArray) -> str:
+    """An image [rows, columns, 3 or 4], display-encoded from 0 to 1, as a PNG file in base64."""
     from matplotlib.image import imsave  # noqa: PLC0415  (takes a second)
 
     file = io.BytesIO()
     imsave(file, image, format="png")
-    data = base64.b64encode(file.getvalue()).decode()
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def image_panel(image: FloatArray, words: str) -> str:
+    """An image [rows, columns, 3 or 4], display-encoded from 0 to 1, with words below it."""
+    data = png(image)
     return (
         f'<div><img alt="{escape(words)}" style="width:100%;image-rendering:pixelated" '
         f'src="data:image/png;base64,{data}"><div class="soft">{escape(words)}</div></div>'

@@ -7,9 +7,21 @@ is busy for all of them; what counts is the median of the rounds, and the quarti
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Use:
+    """What somebody asks for who wants a way for themselves."""
+
+    kind: Literal["campaign", "fit", "choose", "text"]
+    settings: dict[str, str | float] = field(default_factory=dict)
+    """"campaign": keys of its resolution; "fit": model and engine; "text": the text to copy, a command or a piece of a
+    scene; "choose": nothing, as the scene decides."""
+    note: str = ""
+    """Where what one gets so differs from what was charted: a sentence, or empty."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +38,8 @@ class Candidate:
     """What is timed; it is told the number of the round, so that each may have noise of its own."""
     share: float = 1.0
     """Which part of the whole job one `run` is; the cost is that of the whole, or of one piece of it."""
+    use: Use | None = None
+    """None where no command offers it, and it is there to be compared with."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +60,7 @@ class Timed:
         """The mark of a chart: the error is the root mean square of `error` over the results."""
         way = self.candidate
         off = float(np.sqrt(np.mean([error(result) ** 2 for result in self.results])))
-        return Choice(way.name, way.setting, way.family, self.middle, self.low, self.high, off, more or {})
+        return Choice(way.name, way.setting, way.family, self.middle, self.low, self.high, off, more or {}, way.use)
 
 
 @dataclass(frozen=True)
@@ -65,6 +79,8 @@ class Choice:
     error: float
     more: dict[str, float] = field(default_factory=dict)
     """Further figures for the table, by name with unit."""
+    use: Use | None = None
+    """None where no command offers it."""
 
 
 @dataclass(frozen=True)

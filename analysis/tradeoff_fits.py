@@ -12,13 +12,13 @@ from analysis.brdf_problem import from_search, problem, to_search
 from analysis.brdf_start import find_starts
 from analysis.colour import colour_differences, has_colour
 from analysis.fresnel import Conductor
-from analysis.least_squares import SumOfSquares, minimise
+from analysis.least_squares import Engine, SumOfSquares, minimise
 from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import loew_data
 from analysis.microfacet import Form, aperture_for, view
 from analysis.models import LAMBDA_N
 from analysis.results import LocalFit
-from analysis.tradeoff import Axis, Candidate, Chart, race
+from analysis.tradeoff import Axis, Candidate, Chart, Use, race
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 
@@ -78,7 +78,15 @@ def _model_charts(
     all_of_them = whole.wavelengths.size
     some = [count for count in COMPARED if count < all_of_them]
     candidates = [
-        *_candidates("scans for the start, then own derivatives", "fast engine", counts, draws, _fast, conductor),
+        *_candidates(
+            "scans for the start, then own derivatives",
+            "fast engine",
+            counts,
+            draws,
+            _fast,
+            conductor,
+            use=_use("cook-torrance-shift", "fast"),
+        ),
         *(
             candidate
             for words, more, analytic in (("its numeric", "", False), ("our", ", analytic", True))
@@ -91,6 +99,7 @@ def _model_charts(
                 conductor,
                 analytic,
                 more=more,
+                use=None if analytic else _use("cook-torrance-shift", "lmfit"),
             )
         ),
         *_candidates(
@@ -155,7 +164,9 @@ def _local_chart(
     rows = np.unique(np.linspace(0, spectra - 1, min(ALONE, spectra)).astype(int))
     few = [each.at_points(rows) for each in draws]
     candidates = [
-        *_candidates("all spectra at once", "all at once", counts, draws, local_fit, conductor),
+        *_candidates(
+            "all spectra at once", "all at once", counts, draws, local_fit, conductor, use=_use("local", "fast")
+        ),
         *_candidates(
             f"lmfit spectrum by spectrum, timed on {rows.size} of the spectra",
             "lmfit, one by one",
@@ -166,6 +177,7 @@ def _local_chart(
             LAMBDA_N,
             "lmfit",
             share=rows.size / spectra,
+            use=_use("local", "lmfit"),
         ),
     ]
     tell("local fit")
@@ -205,8 +217,12 @@ def _candidates(
     *how: object,
     more: str = "",
     share: float = 1.0,
+    use: Use | None = None,
 ) -> list[Candidate]:
-    """`fit` at each of `counts` wavelengths and at all: in round n that of the n-th of `draws`, by turns."""
+    """`fit` at each of `counts` wavelengths and at all: in round n that of the n-th of `draws`, by turns.
+
+    `use` is how somebody fits so, but for the number of wavelengths.
+    """
     every = draws[0].wavelengths.size
 
     def at(count: int) -> Callable[[int], Any]:
@@ -214,9 +230,13 @@ def _candidates(
         return lambda number: fit(fewer[number % len(fewer)], *how)
 
     return [
-        Candidate(f"{count} λ{more}", f"{setting}, {count} wavelengths", family, at(count), share)
+        Candidate(f"{count} λ{more}", f"{setting}, {count} wavelengths", family, at(count), share, use)
         for count in [*counts, every]
     ]
+
+
+def _use(model: str, engine: Engine) -> Use:
+    return Use("fit", {"model": model, "engine": engine}, "A fit takes all wavelengths that its dataset has.")
 
 
 def _fast(dataset: Dataset, conductor: Conductor) -> FloatArray:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from analysis.brdf_fit import BRDF_MODELS
 from analysis.brdf_table import reference_table
 from analysis.choose import NODES
 from analysis.colour import colour_differences
@@ -14,7 +15,7 @@ from analysis.fresnel import Conductor
 from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, Rung, guides, ladder, roughness, table_rung
 from analysis.scene import Camera, Light, Scene, Shape
 from analysis.scene_rays import trace
-from analysis.tradeoff import Axis, Candidate, Chart, Choice, race
+from analysis.tradeoff import Axis, Candidate, Chart, Choice, Use, race
 from analysis.tradeoff_fits import Tell
 from analysis.tradeoff_renders import render_chart
 from analysis.vertices import Vertices, display_for, image
@@ -71,7 +72,9 @@ def _evaluation_charts(
     few = Directions(*(np.resize(cosine, _EVALUATED) for cosine in vertices.directions))
     at = np.array([550.0])
     candidates = [
-        Candidate(rung.name, _words(rung), _family(rung), _evaluating(rung, few, at), share=_EVALUATED * 1e-9)
+        Candidate(
+            rung.name, _words(rung), _family(rung), _evaluating(rung, few, at), share=_EVALUATED * 1e-9, use=_use(rung)
+        )
         for rung in rungs
     ]
     usable = held_out.at_points(np.flatnonzero(held_out.usable))
@@ -103,7 +106,7 @@ def _evaluation_charts(
             Axis("size", "bytes"),
             colour,
             tuple(
-                Choice(rung.name, _words(rung), _family(rung), size, size, size, error)
+                Choice(rung.name, _words(rung), _family(rung), size, size, size, error, use=_use(rung))
                 for rung, error, size in zip(rungs, errors, sizes, strict=True)
             ),
         ),
@@ -115,7 +118,8 @@ def _image_chart(
 ) -> Chart:
     """`table` is what the others are compared with."""
     candidates = [
-        Candidate(rung.name, _words(rung), _family(rung), _shading(rung, vertices)) for rung in (*rungs, table)
+        Candidate(rung.name, _words(rung), _family(rung), _shading(rung, vertices), use=_use(rung))
+        for rung in (*rungs, table)
     ]
     timed = race(candidates, rounds, tell)
     right = timed[-1].results[-1].mean(axis=0)
@@ -160,6 +164,13 @@ def _words(rung: Rung) -> str:
     shape = f"directions by {', '.join(rung.shape)}" if rung.shape else "no parameter of direction"
     numbers = "1 number" if rung.per_wavelength == 1 else f"{rung.per_wavelength} numbers"
     return shape + f", {numbers} for each wavelength" * bool(rung.per_wavelength)
+
+
+def _use(rung: Rung) -> Use:
+    """A model that can be fitted is; what else stands on the ladder comes of a choice."""
+    if rung.name in BRDF_MODELS:
+        return Use("fit", {"model": rung.name, "engine": "fast"})
+    return Use("choose", note="It is made where a scene is looked at, and chosen where it will do.")
 
 
 def _family(rung: Rung) -> str:

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.brdf_fit import BRDF_MODELS
 from analysis.choose import NODES, nodes, without_noise
 from analysis.fresnel import Conductor
 from analysis.ladder import Lambert, Microfacet, Rung
-from analysis.mitsuba_run import Material, Plugin, RenderTimes, time_renders
+from analysis.mitsuba_run import Material, Plugin, RenderTimes, bsdf_element, time_renders
 from analysis.mitsuba_scene import write_mitsuba
 from analysis.scene import Scene
-from analysis.tradeoff import Axis, Chart, Choice
+from analysis.tradeoff import Axis, Chart, Choice, Use
 from analysis.tradeoff_fits import Tell
 from analysis.verify import material_of
 from analysis.vertices import Vertices, display_for
@@ -35,6 +36,7 @@ class _Way:
     setting: str
     family: str
     material: Material | Plugin
+    use: Use
 
 
 def render_chart(
@@ -79,7 +81,9 @@ def _choice(way: _Way, found: RenderTimes, right: RenderTimes, vertices: Vertice
     parts = [float(display.difference(*both).mean()) for both in zip(mine, theirs, strict=True)]
     error, noise = without_noise(whole, parts)
     more = {"error of the noise": noise}
-    return Choice(way.name, way.setting, way.family, found.middle, found.low, found.high, max(error, noise), more)
+    return Choice(
+        way.name, way.setting, way.family, found.middle, found.low, found.high, max(error, noise), more, way.use
+    )
 
 
 def _ways(rung: Rung, alpha: float) -> list[_Way]:
@@ -89,35 +93,42 @@ def _ways(rung: Rung, alpha: float) -> list[_Way]:
             f"{rung.name} as a table of {at.size} wavelengths",
             f"table, {at.size} λ",
             material_of(rung, at, alpha),
+            _table_use(rung),
         )
         for at in (NODES, nodes(FEW))
     ]
     model = rung.model
     if isinstance(model, Lambert):
         plugin = Plugin("diffuse", _spectrum("reflectance", NODES, np.interp(NODES, model.wavelengths, model.albedo)))
-        return [*tables, _Way(rung.name, "Mitsuba's diffuse, spectral", "Mitsuba's formula", plugin)]
+        words = "Mitsuba's diffuse, spectral"
+        return [*tables, _Way(rung.name, words, "Mitsuba's formula", plugin, _plugin_use(plugin))]
     if isinstance(model, Microfacet) and model.form.conductor is not None and model.form.shift == "none":
         metal = model.form.conductor
         lobe = (
             f'<float name="alpha" value="{float(model.parameters[0]):.8g}"/>'
             f'<string name="distribution" value="{model.form.distribution}"/>'
         )
+        spectral = Plugin("roughconductor", lobe + _index(metal))
+        three = Plugin("roughconductor", lobe + _index_of_primaries(metal), "scalar_rgb")
+        words = "Mitsuba's roughconductor"
         return [
             *tables,
-            _Way(
-                rung.name,
-                "Mitsuba's roughconductor, spectral",
-                "Mitsuba's formula",
-                Plugin("roughconductor", lobe + _index(metal)),
-            ),
-            _Way(
-                rung.name,
-                "Mitsuba's roughconductor, RGB",
-                "Mitsuba's formula, RGB",
-                Plugin("roughconductor", lobe + _index_of_primaries(metal), "scalar_rgb"),
-            ),
+            _Way(rung.name, f"{words}, spectral", "Mitsuba's formula", spectral, _plugin_use(spectral)),
+            _Way(rung.name, f"{words}, RGB", "Mitsuba's formula, RGB", three, _plugin_use(three)),
         ]
     return tables
+
+
+def _table_use(rung: Rung) -> Use:
+    """The command that writes such a table; how many wavelengths it has follows from its budget."""
+    if rung.name in BRDF_MODELS:
+        text = f"goniometer export DATASET --to mitsuba --model {rung.name}"
+        return Use("text", {"text": text}, "The file has as many wavelengths as its budget of errors asks for.")
+    return Use("text", {"text": "goniometer choose DATASET --scene SCENE --bsdf FILE.bsdf"})
+
+
+def _plugin_use(plugin: Plugin) -> Use:
+    return Use("text", {"text": bsdf_element(plugin.name, plugin.settings)}, f"For Mitsuba's {plugin.variant}.")
 
 
 def _index(metal: Conductor) -> str:

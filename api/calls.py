@@ -25,8 +25,10 @@ from api.job_arguments import (
 from api.job_rows import State
 from api.queue_view import EntryView
 from api.state import BenchState
+from api.views.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
 from api.views.calibration import Reference
 from api.views.curves import Distributions
+from api.views.history import History
 from api.views.in_plane_map import InPlaneMap
 from api.views.jobs import JobView
 from api.views.ladder import FitRow, Ladder
@@ -157,9 +159,9 @@ def counts(exposure: int) -> Call[FloatArray]:
 # Samples and datasets
 
 
-def samples() -> Call[list[SampleRow]]:
+def samples() -> Call[Page[SampleRow]]:
     """All samples, in alphabetical order."""
-    return get("/api/samples", list[SampleRow])
+    return get("/api/samples", Page[SampleRow], limit=MOST)
 
 
 def sample(name: str) -> Call[SampleView]:
@@ -174,9 +176,12 @@ def datasets(
     flag: str | None = None,
     since: str | None = None,
     until: str | None = None,
+    operator: str | None = None,
+    passed: bool | None = None,
 ) -> Call[Page[DatasetRow]]:
     """Datasets, newest first; `flag` e.g. "below-noise", times in ISO 8601."""
     asked = {"sample": sample, "campaign": campaign, "kind": kind, "flag": flag, "since": since, "until": until}
+    asked |= {"operator": operator, "passed": passed}
     return get("/api/datasets", Page[DatasetRow], limit=MOST, **asked)
 
 
@@ -283,9 +288,37 @@ def references() -> Call[Page[Reference]]:
     return get("/api/references", Page[Reference])
 
 
+def history(limit: int = 60) -> Call[History]:
+    """How the bench has changed over the newest scans."""
+    return get("/api/history", History, limit=limit)
+
+
 def characterisations() -> Call[list[CharacterisationView]]:
     """What was measured of the bench itself, newest first."""
     return get("/api/characterisations", list[CharacterisationView])
+
+
+# Analyses
+
+
+def tradeoff_charts(job: int) -> Call[Tradeoff]:
+    """The charts of a job, with how to ask for each way oneself."""
+    return get(f"/api/tradeoff/{job}", Tradeoff)
+
+
+def stability_map(job: int) -> Call[StabilityMap]:
+    """The map of a job."""
+    return get(f"/api/stability/{job}", StabilityMap)
+
+
+def ensemble(job: int, regime: str, level: str, method: str) -> Call[Ensemble]:
+    """The runs behind a cell of the map."""
+    return get(f"/api/stability/{job}/ensemble", Ensemble, regime=regime, level=level, method=method)
+
+
+def choice(job: int) -> Call[ChoiceView]:
+    """What a job has chosen, and why."""
+    return get(f"/api/choose/{job}", ChoiceView)
 
 
 # Jobs

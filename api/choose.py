@@ -7,11 +7,13 @@ from typing import Any
 
 from analysis.brdf_table import reference_table
 from analysis.choose import NODES, Choice, Judged, choose, least_directions
+from analysis.choose_report import RUNG_NAMES, rendered_panels, shaded, summary
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
 from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, guides, roughness
 from analysis.mitsuba_run import Material, trace_mitsuba
 from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
+from analysis.page import png
 from analysis.scene import load_scene
 from analysis.scene_rays import trace
 from analysis.verify import Verification, verify
@@ -86,6 +88,7 @@ def choice_content(found: Chosen) -> dict[str, Any]:
     choice, rendered = found.choice, found.rendered
     wanted = choice.asked
     return {
+        "words": summary(choice),
         "tolerance": choice.tolerance,
         "chosen": None if choice.chosen is None else _judged(choice, choice.chosen),
         "rungs": [_judged(choice, judged) for judged in choice.judged],
@@ -109,9 +112,22 @@ def choice_content(found: Chosen) -> dict[str, Any]:
     }
 
 
+def choice_pictures(found: Chosen) -> list[dict[str, Any]]:
+    """What the scene looks like, shaded here and rendered where it was: PNG files in base64."""
+    made = [("shaded", shaded(found.choice))]
+    if found.rendered is not None:
+        made.append(("rendered", rendered_panels(found.choice, found.rendered)))
+    return [
+        {"by": by, "name": each.name, "words": each.words, "dE00_brightest": each.top, "png": png(each.image)}
+        for by, panels in made
+        for each in panels
+    ]
+
+
 def _judged(choice: Choice, judged: Judged) -> dict[str, Any]:
     return {
         "model": judged.rung.name,
+        "name": RUNG_NAMES[judged.rung.name],
         "state": judged.state,
         "why": judged.why,
         "dE00": asdict(judged.score),

@@ -54,7 +54,7 @@ from api.logged import Logged
 from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
 from api.preview import drawing, preview
 from api.products import HowToFit, fit_datasets, fit_lines, report_dataset
-from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
+from api.service import Watch, active_scan, diagnose, run
 from api.settings import load_instrument
 from api.terminal import Terminal, ask_to_mount, screen, wait
 from drivers.errors import DriverError
@@ -64,7 +64,7 @@ from goniometer.dataset_file import last_file
 from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
 from goniometer.plan_spec import ORDINARY
-from goniometer.records import Command
+from goniometer.records import ACTIVE_PHASES, Command
 from goniometer.store import Store
 
 app = typer.Typer(

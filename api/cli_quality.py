@@ -121,7 +121,7 @@ def calibrate(
         return
     corrections = made.lineage["corrections"]
     assert isinstance(corrections, dict)  # by name, as calibration writes them
-    origin = f"scan {store.datasets()[new]}" if old is None else f"dataset {old}"
+    origin = f"scan {store.scan_of(new)}" if old is None else f"dataset {old}"
     told = ", ".join(f"{name} {state}" for name, state in corrections.items())
     first = (
         f"Made dataset {new} from the raw data of {origin}, with the certificate {made.lineage['certificate']}.",

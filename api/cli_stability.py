@@ -61,7 +61,7 @@ def stability(
     silent = [each for each in found if each.silent]
     written = None if path is None else write_page(path, TITLE, stability_body(made_cells, silent)).path
     if as_json:
-        emit(stability_content(made_cells, silent) | {"path": None if written is None else str(written)})
+        emit(stability_content(made_cells, found) | {"path": None if written is None else str(written)})
     else:
         _tell(made_cells, silent, written)
     if silent:

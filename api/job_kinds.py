@@ -10,7 +10,7 @@ from analysis.page import titled_page
 from analysis.tradeoff import charts_json
 from api.accounts import Role
 from api.certificates import known_certificate
-from api.choose import choice_content, choose_model, mitsuba_is_there
+from api.choose import choice_content, choice_pictures, choose_model, mitsuba_is_there
 from api.datasets import recalibrate
 from api.derive import Export, make_folder, slug, write_text
 from api.executor import processes
@@ -182,7 +182,7 @@ def _stability(work: Work, asked: StabilityArguments) -> Made:
             work.tell(len(found) / len(wanted), f"{len(found)} of {len(wanted)} fits")
     silent = [each for each in found if each.silent]
     made = cells(found)
-    return Made(stability_content(made, silent), titled_page(STABILITY, stability_body(made, silent)))
+    return Made(stability_content(made, found), titled_page(STABILITY, stability_body(made, silent)))
 
 
 def _choose(work: Work, asked: ChooseArguments) -> Made:
@@ -195,7 +195,8 @@ def _choose(work: Work, asked: ChooseArguments) -> Made:
     found = choose_model(work.store, asked.dataset, scene, asked.tolerance, dielectric=dielectric, rendering=rendering)
     sample = work.store.entry(asked.dataset).sample
     body = choice_body(found.choice, sample, scene.name, found.rendered)
-    return Made({"dataset": asked.dataset} | choice_content(found), titled_page(f"The model that {sample} needs", body))
+    result = {"dataset": asked.dataset, "sample": sample} | choice_content(found) | {"pictures": choice_pictures(found)}
+    return Made(result, titled_page(f"The model that {sample} needs", body))
 
 
 KINDS: dict[str, Kind] = {

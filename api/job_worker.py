@@ -10,7 +10,7 @@ from analysis.fit_json import strict_json
 from api.derive import end_with_parent
 from api.job_kinds import KINDS, Work
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError
+from goniometer.errors import GoniometerError, OptionError
 from goniometer.store import Store
 
 _NICE = 10
@@ -56,6 +56,8 @@ def work(database: str, output: str, cluster: str | None, job_id: int, kind: str
     here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell, cluster)
     try:
         made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
+    except OptionError as error:
+        return Ended(fault=error.by_field)
     except (GoniometerError, AnalysisError, DriverError) as error:
         return Ended(fault=str(error))
     except OSError as error:

@@ -118,10 +118,15 @@ def _details(found: list[Cell]) -> str:
     )
 
 
-def stability_content(found: list[Cell], silent: list[Run]) -> dict[str, Any]:
-    """The map as JSON content."""
+def stability_content(found: list[Cell], runs: list[Run]) -> dict[str, Any]:
+    """The map as JSON content, with all `runs` that it was made of."""
     return {
         "regimes": {each.name: each.about for each in REGIMES.values()},
         "cells": [asdict(cell) for cell in found],
-        "silent_failures": [asdict(each) for each in silent],
+        "silent_failures": [_run(each) for each in runs if each.silent],
+        "runs": [_run(each) for each in runs],
     }
+
+
+def _run(each: Run) -> dict[str, Any]:
+    return asdict(each) | {"job": each.job._asdict()}

@@ -179,6 +179,49 @@ def session_caller(database: Database, secret: str) -> Caller | None:
     return Caller(row.user, lower(row.role, row.token_role or row.role), "session", row.token_id)
 
 
+@dataclass(frozen=True)
+class Session:
+    """A browser in which somebody is logged in."""
+
+    id: str
+    """Tells it from others, and opens nothing."""
+    created: str
+    """ISO 8601, UTC, as all times here."""
+    used: str
+    """To a minute or so."""
+    token_id: int | None
+    """The token that it began with; None for a password."""
+
+
+def sessions_of(database: Database, name: str) -> list[Session]:
+    """The sessions of somebody that have not ended, newest first."""
+    here = sessions.c
+    rows = database.rows(select(sessions).where(here.user == name).order_by(here.created.desc()))
+    return [
+        Session(_session_id(row.hash), row.created, row.used, row.token_id)
+        for row in rows
+        if not _is_past(row.used, IDLE) and not _is_past(row.created, OLD)
+    ]
+
+
+def session_of(secret: str) -> str:
+    """The id of the session with this secret."""
+    return _session_id(_digest(secret))
+
+
+def _session_id(digest: str) -> str:
+    return digest[:16]
+
+
+def end_sessions(database: Database, name: str, number: str) -> None:
+    """End the session of somebody that has this id; raises `NotInStore`."""
+    with database.writing() as connection:
+        mine = (sessions.c.user == name) & sessions.c.hash.startswith(number, autoescape=True)
+        ended = connection.execute(delete(sessions).where(mine)).rowcount
+    if not ended:
+        raise NotInStore(f"{name} has no session {number}; list them with GET /api/me/sessions")
+
+
 def end_session(database: Database, secret: str) -> None:
     """Let nobody in with this session any more."""
     with database.writing() as connection:

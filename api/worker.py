@@ -32,7 +32,7 @@ from api.lease import (
     take_up_stop,
 )
 from api.logs import log_as_json
-from api.runner import Runner, Task
+from api.runner import PATIENCE_WITH_DISK, Runner, Task
 from api.state import Alarm, Answer, BenchState, Call, Driver, Message, Told
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreBusy, StoreError
@@ -43,10 +43,11 @@ UNHEARD = 1000
 """Messages that may wait for the service to hear them; more are dropped."""
 LOOK = 0.2
 """Seconds between two looks at the devices."""
-PATIENCE_WITH_DISK = 5.0
-"""Seconds until a database that refused is tried again."""
 AGAIN = 0.1
 """Seconds between two looks at the queue."""
+
+BEHIND = 1
+"""Campaigns whose fits may still be made when the next one begins."""
 
 RESTARTED = "The service has ended meanwhile; start it again to go on where it stood."
 HELD = "The service was started anew; look at the bench, then start it again."
@@ -170,6 +171,7 @@ class _Worker:
             work.cancel()
             beats.cancel()
             await asyncio.wait({work, beats})
+            await self.runner.leave()
             self.lease = None
             with suppress(StoreError):  # then it expires
                 queue.interrupt(self.store, RESTARTED)
@@ -213,6 +215,7 @@ class _Worker:
                 if take_up_stop(self.store, lease):
                     await self._stop()
                 free = self.bench.phase in {"disconnected", "ready"} and not self.halted
+                free = free and len(self.runner.fitting) <= BEHIND
                 entry = queue.next_entry(self.store) if free else None
                 if entry is not None:
                     watching = asyncio.ensure_future(self._watch_for_stop(lease))

@@ -19,7 +19,7 @@ from goniometer.dataset import Dataset
 from goniometer.records import Characterisation, StoredText, now, pack_dataset, to_dataset
 
 
-@cache  # it is looked for in files
+@cache  # the metadata of a package is a long text, and every answer about a dataset names the version
 def software_version() -> str:
     """Version of this program, as written beside everything derived."""
     return version("goniometer")

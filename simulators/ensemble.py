@@ -19,10 +19,10 @@ import goniometer
 import simulators
 from goniometer.errors import DataFileError, InputError
 from simulators.regimes import REGIMES
-from simulators.stability import METHODS, Job, Run, run
+from simulators.stability import METHODS, Estimate, Job, Run, run
 
 AT_ONCE = 4
-"""Runs that are submitted together: about a second of work."""
+"""Runs that are submitted together: a tenth of a second of work or more."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,7 @@ def _known(resume: Path) -> dict[Job, Run]:
             content = json.loads(line)
             made_by = content.pop("code")
             content |= {"job": Job(*content["job"]), "reasons": tuple(content["reasons"])}
+            content["estimates"] = {name: Estimate(**told) for name, told in content["estimates"].items()}
             each = Run(**content)
         except (ValueError, TypeError, KeyError, AttributeError):
             raise DataFileError(

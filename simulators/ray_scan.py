@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice, product
+from itertools import chain, islice, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ WINDOWS = 4
 """Windows along each side of a patch."""
 
 _HALVES = 2
+
+_AT_ONCE = 2**18
+"""Rays of a task, if not more: about 0.15 s of work."""
 
 
 @dataclass(frozen=True)
@@ -98,14 +101,16 @@ def ray_scan(
 ) -> RayScan:
     """Scan patches of one kind of surface; `progress` hears the share of the work that is done.
 
-    A window is a task of `executor`. The result depends on nothing but `surfaces` and `asked`.
+    Tasks of `executor` are some windows each. The result depends on nothing but `surfaces` and `asked`.
     """
     table = tabulated(asked.reflectance)
     windows = len(surfaces) * WINDOWS**2
     rays = max(2, -(-asked.rays // (windows * _HALVES)))
     shape = (windows, _HALVES)
-    places = product(asked.theta_in.tolist(), range(len(surfaces)), range(WINDOWS**2))
-    traced = executor.map(partial(_window, surfaces, asked, table, rays), *zip(*places, strict=True))
+    places = list(product(asked.theta_in.tolist(), range(len(surfaces)), range(WINDOWS**2)))
+    together = -(-_AT_ONCE // (rays * _HALVES))
+    batches = [places[first : first + together] for first in range(0, len(places), together)]
+    traced = chain.from_iterable(executor.map(partial(_windows, surfaces, asked, table, rays), batches))
     found = []
     for place in range(asked.theta_in.size):
         measured = []
@@ -155,17 +160,18 @@ _Half = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64], NDArray[np.
 """[outgoing, wavelengths] BRDF, that by orders, light by orders, rays by their ends and by orders: of one half."""
 
 
-def _window(
+def _windows(
     surfaces: Sequence[Terrain],
     asked: Goniometer,
     table: FloatArray,
     rays: int,
-    theta_in: float,
-    patch: int,
-    number: int,
-) -> list[_Half]:
-    """Both halves of one window; a pure function of its arguments."""
-    return [_half(surfaces[patch], asked, table, rays, theta_in, patch, number, half) for half in range(_HALVES)]
+    places: Sequence[tuple[float, int, int]],
+) -> list[list[_Half]]:
+    """Both halves of windows: incident angle, patch and number of each; a pure function of its arguments."""
+    return [
+        [_half(surfaces[patch], asked, table, rays, theta_in, patch, number, half) for half in range(_HALVES)]
+        for theta_in, patch, number in places
+    ]
 
 
 def _half(

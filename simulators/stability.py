@@ -74,6 +74,16 @@ class Job(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """What a fit says of a parameter, and what is true."""
+
+    value: float
+    u: float
+    """Stated standard error; infinite where the fit says that the data do not tell."""
+    true: float
+
+
+@dataclass(frozen=True)
 class Run:
     """What one fit of one measurement came to."""
 
@@ -97,6 +107,8 @@ class Run:
     """Where the random start ended: "reached" the fit, "missed" it, or "lower"; empty where none was tried."""
     reasons: tuple[str, ...]
     """What the verdict says, or why nothing was fitted."""
+    estimates: dict[str, Estimate]
+    """Of every parameter that has a truth, whatever the verdict; of a local fit, of its worst reliable spectrum."""
 
 
 def run(job: Job) -> Run:
@@ -111,7 +123,7 @@ def run(job: Job) -> Run:
         (fit,) = fit_models(made.dataset, local, (method.model,), engine=method.engine)
     except AnalysisError as error:
         nothing: dict[str, float] = {}
-        return Run(job, 0.0, False, False, nothing, nothing, math.nan, "", (str(error),))
+        return Run(job, 0.0, False, False, nothing, nothing, math.nan, "", (str(error),), {})
     return _of_model(job, made, local, fit)
 
 
@@ -123,7 +135,12 @@ def _of_spectra(job: Job, made: Case, local: LocalFit) -> Run:
     z = off / local.u_slope[used]
     trusted = bool(used.any()) and not local.doubts
     useful = _QUANTITIES["h"].known_to + _QUANTITIES["h"].known_to_share * np.abs(truth)
-    worst = float(z[np.argmax(np.abs(z))]) if used.any() else 0.0
+    estimates, worst = {}, 0.0
+    if used.any():
+        place = int(np.argmax(np.abs(z)))
+        worst = float(z[place])
+        of_worst = local.slope[used][place], local.u_slope[used][place], truth[place]
+        estimates["slope"] = Estimate(*map(float, of_worst))
     return Run(
         job,
         right=float(np.mean(np.abs(off) <= useful)) if used.any() else 0.0,
@@ -134,6 +151,7 @@ def _of_spectra(job: Job, made: Case, local: LocalFit) -> Run:
         covered=float(np.mean(np.abs(z) <= COVERAGE_FACTOR)) if trusted else math.nan,
         start="",
         reasons=local.doubts,
+        estimates=estimates,
     )
 
 
@@ -159,6 +177,7 @@ def _of_model(job: Job, made: Case, local: LocalFit, fit: ModelFit) -> Run:
         covered=float(np.mean([abs(each) <= COVERAGE_FACTOR for each in z.values()])) if z else math.nan,
         start=_random_start(job, made, local, fit),
         reasons=verdict.reasons,
+        estimates={p.name: Estimate(p.value, p.standard_error, made.truth[p.name]) for p in known},
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from analysis.colour import delta_e_2000, xyz_weights
-from analysis.tradeoff import Axis, Chart, Choice
+from analysis.tradeoff import Axis, Chart, Choice, Use
 from drivers.arrays import FloatArray
 from goniometer.duration import DEAD_TIME
 from goniometer.geometry import Geometry
@@ -53,6 +53,8 @@ class Scanned:
     family: str
     points: Sequence[Measured]
     read: Read
+    use: Use
+    """The resolution of a campaign that scans so."""
 
 
 def readings(values: FloatArray, path: Sequence[Geometry], random: np.random.Generator) -> list[Measured]:
@@ -181,7 +183,9 @@ def _choices(draws: Sequence[Sequence[tuple[Scanned, tuple[float, float, float]]
         error = float(np.sqrt(np.mean([told[which] ** 2 for _, told in same])))
         points = float(np.mean([len(each.points) for each, _ in same]))
         found.append(
-            Choice(scan.name, scan.setting, scan.family, middle, low, high, error, {"points": round(points, 1)})
+            Choice(
+                scan.name, scan.setting, scan.family, middle, low, high, error, {"points": round(points, 1)}, scan.use
+            )
         )
     return tuple(found)
 
@@ -196,12 +200,14 @@ def _scans(spec: PlanSpec, truth: Truth, random: np.random.Generator, tell: Call
         tell(f"uniform grid of {step:g}°")
         points = measure(uniform_directions(spec, step))
         setting = f"uniform grid of {step:g}° in θ out, read by"
+        use = Use("campaign", {"mode": "uniform", "step": step})
         scans.append(
-            Scanned(f"{step:g}°", f"{setting} a monotone cubic", "uniform", points, through_pchip(spec, points))
+            Scanned(f"{step:g}°", f"{setting} a monotone cubic", "uniform", points, through_pchip(spec, points), use)
         )
         if step >= 2:  # finer ones gain nothing and take minutes
             read = through(process_of(points))
-            scans.append(Scanned(f"{step:g}°", f"{setting} our process", "uniform, our interpolation", points, read))
+            family = "uniform, our interpolation"
+            scans.append(Scanned(f"{step:g}°", f"{setting} our process", family, points, read, use))
     for tolerance in TOLERANCES:
         tell(f"dynamic to {tolerance:g}")
         wanted = replace(spec, tolerance=tolerance, colour_tolerance=None)
@@ -219,6 +225,7 @@ def _scans(spec: PlanSpec, truth: Truth, random: np.random.Generator, tell: Call
                 "dynamic",
                 found,
                 through(process),
+                Use("campaign", {"mode": "dynamic", "tolerance": tolerance}),
             )
         )
     return scans

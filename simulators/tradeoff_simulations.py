@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.tradeoff import Axis, Candidate, Chart, race
+from analysis.tradeoff import Axis, Candidate, Chart, Use, race
 from drivers.arrays import FloatArray
 from simulators.diffraction import (
     PRECISION,
@@ -71,7 +71,14 @@ def _ray_chart(name: str, field: HeightField, rounds: int, tell: Tell) -> Chart:
         return _logarithmic(result.brdf.sum(axis=1), right)
 
     candidates = [
-        Candidate(f"{count:,}".replace(",", " "), f"{count} rays", "rays", partial(scan, count)) for count in RAYS
+        Candidate(
+            f"{count:,}".replace(",", " "),
+            f"{count} rays",
+            "rays",
+            partial(scan, count),
+            use=_command(f"rays {name} --rays {count} --incident {THETA_IN:g} --aperture {APERTURE:g}"),
+        )
+        for count in RAYS
     ]
     return Chart(
         "simulation-rays",
@@ -172,6 +179,9 @@ def _wave_chart(name: str, field: HeightField, rounds: int, tell: Tell) -> Chart
             f"mean over all places of {points * pitch:.0f} µm square",
             "all places",
             partial(everywhere, piece),
+            use=_command(
+                f"waves {name} --size {points} --pitch {pitch:g} --incident {THETA_IN:g} --aperture {APERTURE:g}"
+            ),
         )
         for points, piece in pieces.items()
     ]
@@ -185,6 +195,10 @@ def _wave_chart(name: str, field: HeightField, rounds: int, tell: Tell) -> Chart
             f"mean over all places of {size * pitch:.0f} µm square at {nodes} wavelengths, splines between them",
             "all places, fewer wavelengths",
             partial(interpolated, nodes),
+            use=_command(
+                f"waves {name} --size {size} --pitch {pitch:g} --incident {THETA_IN:g} --aperture {APERTURE:g} "
+                f"--wavelengths {','.join(f'{w:g}' for w in np.linspace(wavelengths[0], wavelengths[-1], nodes))}"
+            ),
         )
         for nodes in NODES
     ]
@@ -215,6 +229,10 @@ def _seen(
     return patch_brdf(
         HeightField(heights, field.pitch_um, periodic=False), theta_in, theta_out, wavelengths, coherence
     ).brdf
+
+
+def _command(rest: str) -> Use:
+    return Use("text", {"text": f"goniometer simulate {rest}"}, "It takes the directions and patches of the command.")
 
 
 def _logarithmic(value: FloatArray, right: FloatArray) -> float:

@@ -77,11 +77,11 @@ class Served:
 
 
 @contextmanager
-def served(folder: Path, **options: Any) -> Iterator[Served]:
-    """A service on the database of `folder`; it is parked and gone when the context ends."""
+def served(folder: Path, database: Path | str | None = None, **options: Any) -> Iterator[Served]:
+    """A service on the database of `folder`, or on another; it is parked and gone when the context ends."""
     listener = socket.create_server(("127.0.0.1", 0))
     url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-    with open_live(folder / "goniometer.db", folder / "results", url=url, **options) as live:
+    with open_live(database or folder / "goniometer.db", folder / "results", url=url, **options) as live:
         ensure_first_user(live.store)
         token = create_token(live.store, "local", "test")[0]
         config = uvicorn.Config(

@@ -24,6 +24,7 @@ class DatasetRow(Body):
     campaign_id: int | None = Field(description="Null where no campaign of this database measured it.")
     campaign: str | None
     bench: str | None = Field(description="Name of the bench; null where no campaign of this database measured it.")
+    operator: str | None = Field(description="Who put the campaign into the queue; null where no service measured it.")
     scan_id: int | None
     created: str = Field(description="ISO 8601, UTC.")
     points: int = Field(description="Directions with a spectrum.")

@@ -35,6 +35,10 @@ def datasets(
     flag: Annotated[str | None, Query(max_length=40, description="Only those with a point of this flag.")] = None,
     since: Time = None,
     until: Time = None,
+    operator: Annotated[str | None, Query(max_length=64, description="Only of campaigns that they queued.")] = None,
+    passed: Annotated[
+        bool | None, Query(description="Only those whose checks all passed, or (false) of which any failed.")
+    ] = None,
     order: Order = "newest",
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
@@ -42,7 +46,8 @@ def datasets(
     """All datasets, or those that are asked for."""
     if flag is not None and flag not in listing.FLAG_NAMES:
         raise InputError(f'flag: there is no flag "{flag}"; there are {", ".join(listing.FLAG_NAMES)}.')
-    wanted = Wanted(sample, campaign, kind, None if flag is None else listing.FLAG_NAMES[flag], since, until)
+    of_flag = None if flag is None else listing.FLAG_NAMES[flag]
+    wanted = Wanted(sample, campaign, kind, of_flag, since, until, operator, passed)
     rows = live.store.entries(wanted, limit + 1, None if after is None else after_number(after), order)
     return page(rows, limit, listing.row, lambda entry: entry.id)
 

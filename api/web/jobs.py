@@ -49,10 +49,7 @@ def one_job(number: Number, live: Here, caller: Viewer) -> JobView:
 @router.get("/{number}/result", responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}})
 def result(number: Number, live: Here, caller: Viewer) -> Response:
     """What came of a job, as the command of the same name prints it with --json."""
-    text = result_of(live.store, number)
-    if text is None:
-        raise _without(live, number, "result")
-    return Response(text, media_type="application/json")
+    return Response(result_text(live, number), media_type="application/json")
 
 
 @router.get("/{number}/page", response_class=HTMLResponse)
@@ -83,6 +80,14 @@ def submit(live: Live, caller: Caller, kind: str, arguments: Arguments) -> JobVi
     """Have a job done for who asks, unless it is plain now that it cannot be done."""
     arguments.check(live.store)
     return job_view(live.jobs.submit(kind, arguments, caller.name))
+
+
+def result_text(live: Live, number: int) -> str:
+    """What came of a job as JSON; raises `Conflict` where it has not ended, and `NotInStore`."""
+    text = result_of(live.store, number)
+    if text is None:
+        raise _without(live, number, "result")
+    return text
 
 
 def _without(live: Live, number: int, what: str) -> Conflict | NotInStore:

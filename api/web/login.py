@@ -3,14 +3,24 @@
 from typing import Annotated, Any, Self
 
 from anyio import CapacityLimiter, to_thread
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 from starlette.concurrency import run_in_threadpool
 
 from api.accounts import LONGEST_PASSWORD, Role, all_users, check_password, set_password
 from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.throttle import count_try, forgive
-from api.tokens import OLD, Caller, begin_session, csrf_token, end_session, token_caller
+from api.tokens import (
+    OLD,
+    Caller,
+    begin_session,
+    csrf_token,
+    end_session,
+    end_sessions,
+    session_of,
+    sessions_of,
+    token_caller,
+)
 from api.web.access import Access, cookie_name, needs
 from api.web.context import Here
 from goniometer.database import Database
@@ -49,6 +59,16 @@ class Me(BaseModel):
     csrf: str | None = Field(
         description="What to send as X-CSRF-Token with everything but reading; null where a token is sent."
     )
+
+
+class SessionView(BaseModel):
+    """A browser in which one is logged in."""
+
+    id: str = Field(examples=["0123456789abcdef"])
+    created: str = Field(description="ISO 8601, UTC.")
+    used: str = Field(description="When something was last asked for in it, about.")
+    token: int | None = Field(description="Number of the token that it began with; null: a password.")
+    this: bool = Field(description="Whether it is the one that asks.")
 
 
 class NewPassword(BaseModel):
@@ -104,6 +124,25 @@ async def change_password(
     except Unauthorised:  # who asks is known, and stays logged in
         raise NotAllowed("The current password is another one; type it again") from None
     await run_in_threadpool(set_password, live.store, caller.name, given.password.get_secret_value())
+
+
+@router.get("/me/sessions")
+def my_sessions(request: Request, live: Here, caller: Annotated[Caller, needs("viewer")]) -> list[SessionView]:
+    """Where one is logged in, newest first."""
+    secret = request.cookies.get(cookie_name(request.app.state.access)) if caller.via == "session" else None
+    this = None if secret is None else session_of(secret)
+    return [
+        SessionView(id=each.id, created=each.created, used=each.used, token=each.token_id, this=each.id == this)
+        for each in sessions_of(live.store, caller.name)
+    ]
+
+
+@router.delete("/me/sessions/{session}", status_code=204)
+def end_my_session(
+    session: Annotated[str, Path(pattern="^[0-9a-f]{16}$")], live: Here, caller: Annotated[Caller, needs("viewer")]
+) -> None:
+    """Log out there."""
+    end_sessions(live.store, caller.name, session)
 
 
 async def _in_turn(request: Request, store: Database, given: Login) -> Caller:

@@ -56,7 +56,7 @@ ASKED = Goniometer(
     NM,
     partial(fresnel_conductor, n=INDEX[0], k=INDEX[1]),
     decomposed_at=0,
-    rays=30_000,
+    rays=1_200_000,
     seed=1,
     aperture=8.0,
     azimuth=0.0,

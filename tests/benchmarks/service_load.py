@@ -2,8 +2,9 @@
 
 A campaign runs on the simulated bench, as fast as the computer can, while nobody listens and while 50 streams of events
 and 200 requests a second come from a process of their own; both by turns, so that whatever else the computer does
-meets them alike. What a point costs the process that drives the bench is told in CPU time as well: where two cores
-carry server, bench and clients, these take each other's turns, and a real bench waits for its stages anyhow.
+meets them alike. What a point costs the process that drives the bench is told in CPU time as well, and so is what the
+server needs for each request and for the streams: where two cores carry server, bench and clients, these take each
+other's turns, and a real bench waits for its stages anyhow.
 
     python -m tests.benchmarks.service_load
 """
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import AsyncIterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -34,6 +36,8 @@ TURN = 5.0
 TURNS = 4
 """With and without load, each."""
 PATHS = ("/api/instrument", "/api/instrument", "/api/queue", "/api/scans", "/api/scans/1/points?limit=50")
+SINGLY = 400
+"""Requests of each path from which its cost is known."""
 CAMPAIGN = LONG | {"samples": [{"name": "Sample 1", "material": "sample-1", "repeats": 20}]}
 
 
@@ -45,23 +49,53 @@ async def answer(reader: asyncio.StreamReader) -> int:
     return int(head.split()[1])
 
 
-async def load(port: int, token: str, seconds: float) -> tuple[dict[str, list[float]], int]:
-    """Latencies of each path, seconds, and the number of events that all streams together have seen."""
-    seen = 0
+def request(port: int, token: str, path: str) -> bytes:
+    """What asks for a path."""
+    return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
 
-    def request(path: str) -> bytes:
-        return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
+
+@contextlib.asynccontextmanager
+async def listening(port: int, token: str) -> AsyncIterator[list[int]]:
+    """Follow the streams of events in the background; each event that one of them tells counts in the list."""
+    seen = [0]
 
     async def listen() -> None:
-        nonlocal seen
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(request("/api/events"))
+        writer.write(request(port, token, "/api/events"))
         try:
             while chunk := await reader.read(1 << 16):
-                seen += chunk.count(b"\nevent: ")
+                seen[0] += chunk.count(b"\nevent: ")
         finally:
             writer.close()
 
+    streams = [asyncio.ensure_future(listen()) for _ in range(STREAMS)]
+    try:
+        yield seen
+    finally:
+        for stream in streams:
+            stream.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.gather(*streams)
+
+
+async def listen_only(port: int, token: str, seconds: float) -> int:
+    """Events that all streams together see in this time."""
+    async with listening(port, token) as seen:
+        await asyncio.sleep(seconds)
+        return seen[0]
+
+
+async def one_by_one(port: int, token: str, path: str) -> None:
+    """Ask for a path, again and again."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    for _ in range(SINGLY):
+        writer.write(request(port, token, path))
+        assert await answer(reader) == 200, path
+    writer.close()
+
+
+async def load(port: int, token: str, seconds: float) -> tuple[dict[str, list[float]], int]:
+    """Latencies of each path, seconds, and the number of events that all streams together have seen."""
     latencies: dict[str, list[float]] = {path: [] for path in PATHS}
     begin = time.perf_counter() + 1  # the streams are open by then
 
@@ -71,20 +105,16 @@ async def load(port: int, token: str, seconds: float) -> tuple[dict[str, list[fl
         while (moment := begin + turn / REQUESTS) < begin + seconds:
             await asyncio.sleep(max(0.0, moment - time.perf_counter()))
             path = PATHS[turn // CONNECTIONS % len(PATHS)]
-            writer.write(request(path))
+            writer.write(request(port, token, path))
             status = await answer(reader)
             assert status == 200, (path, status)
             latencies[path].append(time.perf_counter() - moment)  # from when it was due: waiting for its turn counts
             turn += CONNECTIONS
         writer.close()
 
-    streams = [asyncio.ensure_future(listen()) for _ in range(STREAMS)]
-    await asyncio.gather(*map(ask, range(CONNECTIONS)))
-    for stream in streams:
-        stream.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await asyncio.gather(*streams)
-    return latencies, seen
+    async with listening(port, token) as seen:
+        await asyncio.gather(*map(ask, range(CONNECTIONS)))
+        return latencies, seen[0]
 
 
 def loading(connection: Connection, port: int, token: str) -> None:
@@ -100,6 +130,13 @@ def cpu(process: int) -> float:
     """Seconds that a process has computed for."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def spent(process: int, seconds: float) -> float:
+    """Seconds that a process computes for in so many seconds from now on."""
+    before = cpu(process)
+    time.sleep(seconds)
+    return cpu(process) - before
 
 
 def points(database: Path) -> int:
@@ -143,6 +180,8 @@ def measure(database: Path, url: str, token: str, server: int) -> None:
         client.post(f"/api/queue/{number}/start").raise_for_status()
         while points(database) < 200:  # the bench is open, and the pace is even
             time.sleep(0.5)
+        while spent(server, 1.0) > 0.1:  # it loads what views of datasets need
+            pass
         bench = client.get("/api/instrument").json()["driver"]["process"]
     rows: dict[bool, list[tuple[int, float, float, float]]] = {False: [], True: []}
     latencies: dict[str, list[float]] = {path: [] for path in PATHS}
@@ -158,16 +197,31 @@ def measure(database: Path, url: str, token: str, server: int) -> None:
         ended = time.monotonic(), points(database), cpu(bench), cpu(server)
         rows[loaded].append((ended[1] - began[1], ended[0] - began[0], ended[2] - began[2], ended[3] - began[3]))
         if loaded:
-            told, seen, spent = here.recv()
-            events, client_cpu, needed = events + seen, client_cpu + spent, needed + cpu(server) - before
+            told, seen, computed = here.recv()
+            events, client_cpu, needed = events + seen, client_cpu + computed, needed + cpu(server) - before
             for path, values in told.items():
                 latencies[path] += values
     here.send(None)
     clients.join()
     show(rows, latencies, events)
     asked = sum(map(len, latencies.values())) / REQUESTS  # seconds of load
-    shares = 100 * needed / asked, 100 * client_cpu / asked
-    print("\nthis load takes {:.0f} % of a core in the server, {:.0f} % in the clients".format(*shares))
+    print(f"\nCPU time of {asked:.0f} s of load: server {needed:.1f} s, clients {client_cpu:.1f} s", end="")
+    print(f" ({100 * needed / asked:.0f} % and {100 * client_cpu / asked:.0f} % of a core)\n")
+    show_costs(server, int(url.rpartition(":")[2]), token)
+
+
+def show_costs(server: int, port: int, token: str) -> None:
+    """Print what the server computes for a request and for the streams, while the campaign goes on."""
+    idle = spent(server, TURN) / TURN
+    for path in dict.fromkeys(PATHS):
+        began = time.monotonic(), cpu(server)
+        asyncio.run(one_by_one(port, token, path))
+        needed = cpu(server) - began[1] - idle * (time.monotonic() - began[0])
+        print(f"{path:34} {1000 * needed / SINGLY:6.2f} ms CPU a request")
+    began = time.monotonic(), cpu(server)
+    seen = asyncio.run(listen_only(port, token, 2 * TURN))
+    needed = cpu(server) - began[1] - idle * (time.monotonic() - began[0])
+    print(f"{'event of a stream':34} {1000 * needed / seen:6.3f} ms CPU, with {STREAMS} that hear it")
 
 
 def show(

@@ -14,9 +14,85 @@ SCHEMAS = sorted(Path(__file__).with_name("old_schemas").glob("*.sql"))
 
 TAKEN = "2026-01-02T03:04:05.678+00:00"
 COUNTS = np.arange(1044, dtype="<u4").tobytes()
+CAMPAIGNS = {
+    1: {
+        "incident": {"start": 0.0, "step": 10.0, "stop": 80.0},
+        "integration": {"fill": 0.7, "maximum": 30.0, "minimum": 0.008, "scans": 1},
+        "name": "First",
+        "outgoing": {"start": -85.0, "stop": 85.0},
+        "reference": {"certificate": None, "scans": 2, "step": 10.0},
+        "resolution": {"coarse_step": 10.0, "minimum_step": 0.5, "tolerance": 0.02},
+        "samples": [{"description": "", "material": "sample-1", "name": "A", "preparation": ""}],
+        "seed": 0,
+    },
+    5: {
+        "conditions": {
+            "cooler_stable": True,
+            "lamp_change": None,
+            "lamp_change_within": 60.0,
+            "lamp_warm": None,
+            "patience": 3600.0,
+        },
+        "homogeneity": None,
+        "incident": {"start": 0.0, "step": 10.0, "stop": 80.0},
+        "integration": {
+            "exposures": 1,
+            "fill": 0.7,
+            "maximum": 30.0,
+            "minimum": 0.008,
+            "scans": 1,
+            "signal_to_noise": None,
+            "time_limit": 120.0,
+        },
+        "monitor": {"every": 600.0},
+        "name": "First",
+        "outgoing": {"start": -85.0, "stop": 85.0},
+        "prescan": None,
+        "reference": {
+            "certificate": None,
+            "diameter": 50.0,
+            "every_round": False,
+            "override": None,
+            "scans": 2,
+            "step": 10.0,
+        },
+        "resolution": {
+            "colour_tolerance": 0.2,
+            "minimum_step": 0.2,
+            "mode": "dynamic",
+            "points": None,
+            "step": 1.0,
+            "time": None,
+            "tolerance": 0.005,
+        },
+        "rounds": 1,
+        "samples": [
+            {
+                "description": "",
+                "diameter": 50.0,
+                "material": "sample-1",
+                "name": "A",
+                "preparation": "",
+                "repeats": 1,
+                "wait": 0.0,
+            }
+        ],
+        "seed": 0,
+        "stray_light": True,
+    },
+}
+"""A campaign as the program wrote it from a version on."""
+CONSTANTS = {
+    "spectrometer": "QE Pro",
+    "stages": {"sample stage": "SMC100"},
+    "wavelengths": [400.0, 700.0],
+    "nonlinearity": [1.0, 0.0],
+    "saturation": 200000,
+}
+BENCH = {"gain": 4.5, "u_angle": 0.006, "aperture": 1.1}
 LINEAGE = json.dumps({"scan": 2})
 COMMON: dict[str, dict[str, Any]] = {
-    "campaigns": {"id": 1, "name": "First", "json": "{}", "hash": "h", "certificate": "text", "created": TAKEN},
+    "campaigns": {"id": 1, "name": "First", "hash": "h", "certificate": "text", "created": TAKEN},
     "scans": {
         "id": 2,
         "campaign_id": 1,
@@ -27,7 +103,6 @@ COMMON: dict[str, dict[str, Any]] = {
         "phase": "finished",
         "outcome": "completed",
         "reason": "",
-        "constants": "{}",
         "started": TAKEN,
         "finished": TAKEN,
     },
@@ -120,9 +195,16 @@ def build(schema: Path, file: Path) -> None:
         connection.executescript(schema.read_text())
         _insert(connection, "about", {"application": "goniometer", "schema_version": version})
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        constants = CONSTANTS | (BENCH if version < 3 else {"bench": BENCH})
+        own = {
+            "campaigns": {
+                "json": json.dumps(CAMPAIGNS[1 if version < 5 else 5], sort_keys=True, separators=(",", ":"))
+            },
+            "scans": {"constants": json.dumps(constants, sort_keys=True)},
+        }
         for table, row in COMMON.items():
             if table in tables:
-                _insert(connection, table, row)
+                _insert(connection, table, row | own.get(table, {}))
         _insert(connection, "datasets", DATASET | {"arrays": packed(version, "3_cert" in schema.stem)})
         for values in ({"id": 11, "kind": "dark"}, {"id": 12, "kind": "light", "point_id": 3}):
             where = {"theta_in": 10.01, "theta_out": 20.02} if values["kind"] == "light" else {}

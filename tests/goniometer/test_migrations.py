@@ -11,13 +11,19 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import create_engine
+from sqlalchemy import Boolean, create_engine, text
+from sqlalchemy.exc import IntegrityError
 
 from goniometer import migrations, tables
+from goniometer.campaign import Sample
+from goniometer.constants import BenchData
 from goniometer.errors import StoreError, StoreOutdated
+from goniometer.migrations import baseline
+from goniometer.only_added import protect
 from goniometer.store import Store
 from goniometer.upgrade import upgrade
-from tests.goniometer.old_databases import COUNTS, DATASET, SCHEMAS, build, version_of
+from tests.databases import fresh_database, outside
+from tests.goniometer.old_databases import COMMON, COUNTS, DATASET, SCHEMAS, TAKEN, build, version_of
 
 
 @pytest.fixture(params=SCHEMAS, ids=lambda schema: schema.stem)
@@ -53,6 +59,8 @@ def test_every_old_version_has_its_database_here() -> None:
     assert {version_of(schema) for schema in SCHEMAS} == set(range(1, 8))
 
 
+# those indexes are compared as texts
+@pytest.mark.filterwarnings("ignore:Skipped unsupported reflection of expression-based index")
 def test_an_upgraded_database_has_the_tables_constraints_and_triggers_of_a_new_one(
     old: tuple[Path, int], tmp_path: Path
 ) -> None:
@@ -76,8 +84,9 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
         name: [column for _, column, *_ in rows(file, f"PRAGMA table_info({name})")]
         for name in before - {"about", "sqlite_sequence"}
     }
+    rewritten = {"arrays"} | ({"json", "constants"} if version < 5 else set())  # they are read below
     queries = {
-        name: f"SELECT {', '.join(c for c in columns if c != 'arrays')} FROM {name} ORDER BY 1"
+        name: f"SELECT {', '.join(c for c in columns if c not in rewritten)} FROM {name} ORDER BY 1"
         for name, columns in kept.items()
     }
     read = {name: rows(file, query) for name, query in queries.items()}
@@ -85,6 +94,10 @@ def test_no_row_of_an_old_database_is_lost_or_changed(old: tuple[Path, int]) -> 
     upgrade(file)
     assert {name: rows(file, query) for name, query in queries.items()} == read
     store = Store.open(file)
+    campaign = store.campaign(1)
+    assert campaign.samples == (Sample(name="A", material="sample-1"),)
+    assert campaign.resolution.minimum_step == (0.5 if version < 5 else 0.2)
+    assert store.constants(2).bench == BenchData(gain=4.5, u_angle=0.006, aperture=1.1)
     dark, light = store.exposures(2)
     assert light.counts.astype("<u4").tobytes() == dark.counts.astype("<u4").tobytes() == COUNTS
     assert light.geometry is not None
@@ -151,3 +164,42 @@ def test_what_earlier_programs_are_told_makes_them_refuse(tmp_path: Path) -> Non
     Store.open(file).close()
     ((version,),) = rows(file, "SELECT schema_version FROM about")
     assert version not in {version_of(schema) for schema in SCHEMAS}
+
+
+def test_a_postgresql_database_is_upgraded_with_all_that_is_in_it(postgresql: str) -> None:
+    with fresh_database(postgresql, empty=True) as database:
+        with outside(database) as connection:
+            baseline.metadata.create_all(connection)
+            exposure = {"id": 11, "scan_id": 2, "kind": "dark", "integration_time": 0.25, "counts": COUNTS}
+            exposure |= {"device_count": 7, "detector_temperature": -10.125, "session": "s1", "moment": 12.5}
+            rows = {
+                "about": {"application": "goniometer", "schema_version": 8},
+                "campaigns": COMMON["campaigns"] | {"json": "{}"},
+                **{name: COMMON[name] for name in ("scans", "characterisations", "lease", "queue")},
+                "exposures": exposure | {"taken": TAKEN},
+            }
+            for name, row in rows.items():
+                table = baseline.metadata.tables[name]
+                booleans = {column.name for column in table.columns if isinstance(column.type, Boolean)}
+                known = {key: bool(value) if key in booleans else value for key, value in row.items()}
+                connection.execute(table.insert().values(**known))
+            for table in baseline.metadata.sorted_tables:
+                if table.info:
+                    protect(connection, table.name)
+            connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) PRIMARY KEY)"))
+            connection.execute(text("INSERT INTO alembic_version VALUES ('0001')"))
+        with pytest.raises(StoreOutdated, match="goniometer db upgrade"):
+            Store.open(database)
+        assert [step[:4] for step in upgrade(database).steps] == list(migrations.known()[1:])
+        store = Store.open(database)
+        assert [exposure.counts.astype("<u4").tobytes() for exposure in store.exposures(2)] == [COUNTS]
+        store.close()
+        with outside(database) as connection:
+            opts = {"compare_type": True, "compare_server_default": True}
+            context = MigrationContext.configure(connection, opts=opts)
+            differences = compare_metadata(context, tables.metadata)
+            assert [each for each in differences if "alembic_version" not in str(each)] == []
+            assert connection.execute(text("SELECT term, bench FROM lease")).all() == [(2, "bench")]
+            assert connection.execute(text("SELECT name, bench FROM campaigns")).all() == [("First", "bench")]
+        with pytest.raises(IntegrityError, match="only ever added"), outside(database) as connection:
+            connection.execute(text("UPDATE characterisations SET bench = 'other'"))

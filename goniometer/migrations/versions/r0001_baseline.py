@@ -6,15 +6,15 @@ which it was written, on a clock of its own called "unknown", as that of version
 is read from its numbers.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from alembic import op
-from sqlalchemy import Connection, MetaData, Table, insert, inspect, text, update
+from sqlalchemy import Connection, MetaData, Table, insert, inspect, select, text, update
 from sqlalchemy.schema import CreateTable
 
 from goniometer.migrations.baseline import metadata
-from goniometer.migrations.old_datasets import columns_of
+from goniometer.migrations.old_content import campaign_of, columns_of, constants_of
 from goniometer.only_added import protect
 
 revision = "0001"
@@ -48,6 +48,8 @@ def upgrade() -> None:
             index.create(connection, checkfirst=True)
         if table.info:
             protect(connection, table.name)
+    _rewrite(connection, "campaigns", "json", campaign_of)
+    _rewrite(connection, "scans", "constants", constants_of)
     about = metadata.tables["about"]
     connection.execute(update(about).values(schema_version=ABOUT_VERSION))
 
@@ -85,6 +87,15 @@ def _write_anew(connection: Connection, table: Table) -> None:
         )
     connection.execute(text(f"DROP TABLE {table.name}"))
     connection.execute(text(f"ALTER TABLE {new.name} RENAME TO {table.name}"))
+
+
+def _rewrite(connection: Connection, name: str, column: str, change: Callable[[str], str]) -> None:
+    """Bring one text of every row of a table into today's form."""
+    here = metadata.tables[name].c
+    for row in connection.execute(select(here.id, here[column]).where(here[column].is_not(None))).all():
+        changed = change(row[1])
+        if changed != row[1]:
+            connection.execute(update(metadata.tables[name]).where(here.id == row.id).values({column: changed}))
 
 
 def _datasets(connection: Connection, columns: set[str]) -> Iterator[dict[str, Any]]:

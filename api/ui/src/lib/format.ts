@@ -11,7 +11,7 @@ export function number(value: number | null | undefined, digits = 2): string {
 export function significant(value: number | null | undefined, figures = 3): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return '–';
   const size = Math.abs(value);
-  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(figures - 1) : String(Number(value.toPrecision(figures)));
+  const text = size !== 0 && (size < 1e-4 || size >= 1e5) ? value.toExponential(figures - 1) : String(Number(value.toPrecision(figures)));
   return text.replaceAll('-', MINUS);
 }
 
@@ -24,6 +24,16 @@ export function uncertain(value: number | null | undefined, u: number | null | u
   if (digits <= 0) return `${number(value, 0)}(${u.toFixed(0)})`;
   const shown = u < 1 ? String(Math.round(u * 10 ** digits)) : u.toFixed(digits);
   return `${number(value, digits)}(${shown})`;
+}
+
+/** A large number in groups of three digits: `200 000`. */
+export function grouped(value: number): string {
+  return Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, '\u202f').replace('-', MINUS);
+}
+
+/** An integration time: `8.0 ms`, `1.25 s`, `30 s`. */
+export function integration(seconds: number): string {
+  return seconds < 1 ? `${(1000 * seconds).toFixed(seconds < 0.1 ? 1 : 0)} ms` : `${significant(seconds)} s`;
 }
 
 export function degrees(value: number | null | undefined, digits = 2): string {
