@@ -13,6 +13,7 @@ import time
 import uuid
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any
@@ -34,7 +35,7 @@ from api.lease import (
 )
 from api.logs import log_as_json
 from api.runner import PATIENCE_WITH_DISK, Runner, Task
-from api.state import Alarm, Answer, BenchState, Call, Driver, Message, Told
+from api.state import Alarm, Answer, BenchState, Call, Doing, Driver, Message, Told
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreBusy, StoreError
 from goniometer.records import now
@@ -267,14 +268,15 @@ class _Worker:
 
     async def _answer(self, call: Call) -> None:
         try:
-            value = await self._command(call.name, call.arguments)
+            value = await self._command(call)
             await self._look_once()  # who reads the state after the answer sees what came of it
         except (GoniometerError, DriverError) as error:
             self.say(Answer(call.number, refusal=(type(error).__name__, str(error))))
         else:
             self.say(Answer(call.number, value))
 
-    def _command(self, name: str, arguments: dict[str, Any]) -> Coroutine[Any, Any, Any]:
+    def _command(self, call: Call) -> Coroutine[Any, Any, Any]:
+        name, arguments = call.name, call.arguments
         if name == "end":
             return self._end()
         if self.lease is None:
@@ -288,7 +290,7 @@ class _Worker:
             "home": self.bench.home,
             "jog": self.bench.jog,
             "expose": self.bench.expose,
-            "doctor": self.bench.doctor,
+            "doctor": partial(self.bench.doctor, tell=lambda *far: self.say(Doing(call.number, *far))),
         }
         work: Coroutine[Any, Any, Any] = commands[name](**arguments)
         return work
