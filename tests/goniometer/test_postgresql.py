@@ -1,0 +1,93 @@
+"""What a server refuses is said in one sentence that tells what to do."""
+
+import re
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.engine import make_url
+
+from goniometer.errors import StoreError, StoreFull
+from goniometer.store import Store
+from tests.databases import fresh_database, outside
+
+
+@pytest.fixture
+def server(postgresql):
+    """Address of a database with our tables."""
+    with fresh_database(postgresql) as url:
+        yield url
+
+
+def refused(store, kind, words):
+    """Write something, which must be refused in one line of these words; nothing of it stays."""
+    with pytest.raises(kind, match=words) as caught:
+        store.add_characterisation("noise", "{}")
+    assert "\n" not in str(caught.value)
+    assert store.characterisations() == []
+
+
+@pytest.mark.parametrize(
+    ("state", "kind", "words"),
+    [
+        ("53100", StoreFull, "no room left on its server"),
+        ("57P01", StoreError, "see that the server runs"),
+        ("40P01", StoreError, "locked by somebody else"),
+        ("XX001", StoreError, "cannot be used"),
+    ],
+)
+def test_what_the_server_refuses_is_told_by_what_to_do_about_it(server, state, kind, words):
+    with outside(server) as other:
+        other.execute(
+            text(
+                "CREATE FUNCTION refuse() RETURNS trigger LANGUAGE plpgsql AS "
+                f"$$ BEGIN RAISE EXCEPTION E'It will not.\\nNo.' USING ERRCODE = '{state}'; END $$"
+            )
+        )
+        other.execute(text("CREATE TRIGGER a BEFORE INSERT ON characterisations EXECUTE FUNCTION refuse()"))
+    store = Store.open(server)
+    refused(store, kind, words)
+    store.close()
+
+
+def test_a_server_that_can_only_be_read_is_read(server):
+    url = make_url(server).update_query_dict({"options": "-c default_transaction_read_only=on"})
+    store = Store.open(url.render_as_string(hide_password=False))
+    refused(store, StoreError, "can only be read")
+    store.close()
+
+
+def test_who_may_only_read_is_told_so(server):
+    with outside(server) as other:
+        other.execute(text("DROP ROLE IF EXISTS reader"))
+        other.execute(text("CREATE ROLE reader LOGIN"))
+        other.execute(text("GRANT SELECT ON ALL TABLES IN SCHEMA public TO reader"))
+    store = Store.open(make_url(server).set(username="reader").render_as_string(hide_password=False))
+    refused(store, StoreError, "does not allow this")
+    store.close()
+    with outside(server) as other:
+        other.execute(text("DROP OWNED BY reader"))
+        other.execute(text("DROP ROLE reader"))
+
+
+def test_the_database_of_another_program_is_refused_and_left_as_it_is(postgresql):
+    with fresh_database(postgresql, empty=True) as url:
+        with outside(url) as other:
+            other.execute(text("CREATE TABLE songs (title TEXT)"))
+        with pytest.raises(StoreError, match="another program"):
+            Store.open(url)
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "postgresql://anna:hunter2@127.0.0.1:1/x",
+        "postgresql://anna@127.0.0.1:1/x?password=hunter2",
+        "postgresql://anna:hunter2@127.0.0.1:port/x",
+        "mysql://anna:hunter2@127.0.0.1/x",
+    ],
+)
+def test_no_refusal_tells_a_password(address):
+    with pytest.raises(StoreError) as caught:
+        Store.open(address)
+    assert "\n" not in str(caught.value)
+    assert re.search("hunter2", str(caught.value)) is None
