@@ -5,10 +5,13 @@ import re
 import pytest
 from sqlalchemy import text
 from sqlalchemy.engine import make_url
+from sqlalchemy.exc import IntegrityError
 
+from goniometer.archiving import archive_scan, unarchive_scan
 from goniometer.errors import StoreError, StoreFull
 from goniometer.store import Store
 from tests.databases import fresh_database, outside
+from tests.goniometer.test_store import CAMPAIGN, CONSTANTS, spectrum
 
 
 @pytest.fixture
@@ -91,3 +94,27 @@ def test_no_refusal_tells_a_password(address):
         Store.open(address)
     assert "\n" not in str(caught.value)
     assert re.search("hunter2", str(caught.value)) is None
+
+
+def test_raw_counts_move_to_an_archive_and_back_and_are_otherwise_only_added(server, tmp_path):
+    store = Store.open(server)
+    scan = store.scans(store.add_campaign(CAMPAIGN))[1].id
+    store.save_constants(scan, CONSTANTS)
+    store.add_exposures(scan, "dark", [spectrum(i) for i in range(5)], "one", 0.0)
+    store.set_phase(scan, "running")
+    store.finish_scan(scan, "completed")
+    before = [each.counts.tobytes() for each in store.exposures(scan)]
+    changes = ["UPDATE exposures SET counts = ''", "UPDATE exposures SET moment = 7"]
+    for statement in changes:
+        with pytest.raises(IntegrityError, match="only ever added"), outside(server) as other:
+            other.execute(text(statement))
+    moved = archive_scan(store, scan, tmp_path)
+    with outside(server) as other:
+        assert other.execute(text("SELECT sum(length(counts)) FROM exposures")).scalar() == 0
+    assert [each.counts.tobytes() for each in store.exposures(scan)] == before
+    for statement in ("UPDATE exposures SET moment = 7", "DELETE FROM archives", "DELETE FROM exposures"):
+        with pytest.raises(IntegrityError, match=r"only ever added|in this archive only"), outside(server) as other:
+            other.execute(text(statement))
+    assert unarchive_scan(store, scan).freed == -moved.freed
+    assert [each.counts.tobytes() for each in store.exposures(scan)] == before
+    store.close()
