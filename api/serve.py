@@ -18,6 +18,7 @@ from api.settings import InstrumentSettings
 from api.tokens import first_token
 from api.web.access import check_listen
 from api.web.app import make_app
+from api.web.patience import Patient
 from goniometer.errors import ConfigurationError
 from goniometer.store import Store
 from goniometer.tables import BENCH
@@ -89,6 +90,8 @@ def serve(
         ) as live:
             config = uvicorn.Config(
                 make_app(live, access),
+                http=Patient,
+                ws="none",
                 log_config=None,
                 access_log=False,
                 server_header=False,
