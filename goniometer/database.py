@@ -130,13 +130,13 @@ class Database:
         """
         if self.file is None:
             return None
-        if self._watching is None:
-            where = f"{self.file.as_uri()}?mode=ro"
-            self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
         try:
+            if self._watching is None:
+                where = f"{self.file.as_uri()}?mode=ro"
+                self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
             # it tells of changes by other connections only, and this one changes nothing
             return int(self._watching.execute("PRAGMA data_version").fetchone()[0])
-        except sqlite3.OperationalError:  # somebody has locked it
+        except sqlite3.DatabaseError:  # somebody has locked it, or it is none any more: who reads it is told
             return None
 
     @contextmanager
