@@ -147,6 +147,15 @@ class Catalogue(Database):
         here = tables.datasets.c
         return bool(self.rows(select(here.id).where(here.id == dataset_id)))
 
+    def newest_dataset(self) -> int:
+        """Id of the newest dataset; 0 where there is none."""
+        return self.rows(select(func.max(tables.datasets.c.id).label("newest")))[0].newest or 0
+
+    def datasets_after(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets above `dataset_id`, oldest first."""
+        here = tables.datasets.c
+        return [row.id for row in self.rows(select(here.id).where(here.id > dataset_id).order_by(here.id))]
+
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
         alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))

@@ -139,7 +139,8 @@ class Store(Derived):
 
     def campaigns(self) -> dict[int, str]:
         """Name of every campaign by its id, oldest first."""
-        return {row.id: row.name for row in self.rows(select(tables.campaigns).order_by(tables.campaigns.c.id))}
+        here = tables.campaigns.c
+        return {row.id: row.name for row in self.rows(select(here.id, here.name).order_by(here.id))}
 
     def benches(self) -> dict[int, str]:
         """Name of the bench of every campaign by its id, oldest first."""

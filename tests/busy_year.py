@@ -21,13 +21,16 @@ from drivers.interfaces import Spectrum
 from goniometer import tables
 from goniometer.campaign import Campaign, Sample
 from goniometer.catalogue import facts_of
+from goniometer.certificate_file import certificate_csv
 from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset, Flag
 from goniometer.derived import software_version
 from goniometer.geometry import Geometry
 from goniometer.records import constants_json, exposure_row, pack_dataset
+from goniometer.service_tables import queue
 from goniometer.store import Store
 from goniometer.uncertainty import ErrorSource
+from simulators.materials import PANEL_CERTIFICATE
 from tests.drawn_dataset import drawn_dataset
 
 SAMPLES = 9
@@ -98,6 +101,7 @@ class _Year:
                 BenchData(),
             )
         )
+        self._certificate = certificate_csv(PANEL_CERTIFICATE)
         self._scan = self._point = self._exposure = self._dataset = self._fit = 0
 
     def write(self, connection: Connection, number: int) -> None:
@@ -110,7 +114,28 @@ class _Year:
         )
         connection.execute(
             insert(tables.campaigns).values(
-                id=number, name=campaign.name, json=campaign.canonical_json, hash=campaign.hash, created=_text(begun)
+                id=number,
+                name=campaign.name,
+                json=campaign.canonical_json,
+                hash=campaign.hash,
+                certificate=self._certificate,
+                created=_text(begun),
+            )
+        )
+        ended = _text(begun + timedelta(minutes=450))
+        connection.execute(
+            insert(queue).values(
+                position=0,
+                name=campaign.name,
+                json=campaign.canonical_json,
+                campaign_id=number,
+                phase="finished",
+                outcome="completed",
+                who=f"Operator {number % 5}",
+                created=_text(begun),
+                ordered=_text(begun),
+                started=_text(begun),
+                finished=ended,
             )
         )
         reference: dict[str, list[int]] = {}
@@ -188,7 +213,7 @@ class _Year:
             counts = self._counts[self._exposure % _SPECTRA] if full else self._counts[0][:1]
             spectrum = Spectrum(counts, time, self._exposure, -10.0)
             row = exposure_row(self._scan, point, kind, geometry, "year", 9.5 * self._exposure, spectrum)
-            rows.append(row | {"id": self._exposure, "taken": _text(when)})
+            rows.append(row | {"id": self._exposure})
             ids[name].append(self._exposure)
 
         for _ in range(besides[0]):
