@@ -131,7 +131,7 @@ def test_what_a_person_says_beside_the_point_is_refused_before_it_is_in_a_file(s
     for text, wanted in [
         ("- a", "must be a mapping"),
         ("id: mine", '"id" is not asked for'),
-        ("a: [", "no valid YAML"),
+        ("a: [", "not valid YAML"),
         ("instrumentation: {illumination_system: {}}", "needs illumination_system.source.type"),
     ]:
         (tmp_path / "lab.yaml").write_text(text)
