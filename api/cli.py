@@ -16,11 +16,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 
-from analysis.distributions import Distribution
+from analysis.choices import MODELS, Distribution, Engine, Weight
 from analysis.errors import AnalysisError
-from analysis.fits import MODELS
-from analysis.least_squares import Engine
-from analysis.loew import Weight
 from api.arguments import (
     DATABASE,
     AsJson,

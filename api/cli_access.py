@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from api import audit
-from api.accounts import Role, add_user, all_users, remove_user, set_disabled, set_password, set_role
+from api.accounts import add_user, all_users, remove_user, set_disabled, set_password, set_role
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
+from api.choices import FIRST_USER, Role
 from api.logged import Logged
-from api.tokens import FIRST_USER, all_tokens, create_token, ensure_first_user, revoke_token, token
+from api.tokens import all_tokens, create_token, ensure_first_user, revoke_token, token
 from goniometer.errors import InputError
 from goniometer.store import Store
 

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from analysis.brdf_fit import BRDF_MODELS
-from analysis.bsdf_search import Budget
+from analysis.choices import BRDF_MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.choices import WRITTEN
 from api.derive import Export
-from api.exports import FORMATS, Options, export_dataset
+from api.exports import Options, export_dataset
 from api.logged import Logged
 
-_ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
+_ABOUT = "; ".join(f"{name}: {about}" for name, about in WRITTEN.items())
 
 
 def register(app: typer.Typer) -> None:
@@ -45,10 +45,10 @@ def export(
     ] = None,
     budget: Annotated[
         float, typer.Option(min=1e-4, max=1, help="mitsuba: relative error that 99 of 100 directions may have.")
-    ] = Budget.error,
+    ] = USUAL_ERROR,
     colour_budget: Annotated[
         float, typer.Option(min=0.01, help="mitsuba: dE00 that 99 of 100 directions may have.")
-    ] = Budget.colour,
+    ] = USUAL_COLOUR_ERROR,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:

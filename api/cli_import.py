@@ -11,8 +11,8 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.imports import Request, imported_file
 from api.logged import Logged
 from api.quality import quality, quality_lines
+from goniometer.choices import Quantity
 from goniometer.dataset import Dataset
-from goniometer.delimited import Quantity
 from goniometer.store import Store
 
 

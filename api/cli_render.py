@@ -10,8 +10,9 @@ from analysis.page import MODEL_NAMES
 from analysis.render import SEEDS
 from analysis.render_report import comparison_body, comparison_lines, time_line
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
+from api.choices import Through
 from api.derive import slug
-from api.render import RenderedDataset, Through, render_dataset
+from api.render import RenderedDataset, render_dataset
 from api.simulations import Page, write_page
 
 

@@ -39,8 +39,8 @@ def register(app: typer.Typer) -> None:
         bench: BenchName = None,
     ) -> None:
         """Serve REST, events and the pages of the bench until it is stopped."""
-        from api.serve import Listen  # noqa: PLC0415  (FastAPI takes half a second)
-        from api.serve import serve as run  # noqa: PLC0415
+        from api.serve import Listen
+        from api.serve import serve as run
 
         settings = load_instrument(instrument) if instrument else None
         if settings is not None and mount_by_itself:

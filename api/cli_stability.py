@@ -21,9 +21,9 @@ from api.stability import (
     stability_content,
 )
 from api.terminal import screen
+from simulators.choices import ABOUT, METHODS
 from simulators.ensemble import Cell, cells, ensemble, jobs
-from simulators.regimes import REGIMES
-from simulators.stability import METHODS, Run
+from simulators.stability import Run
 
 _LEVEL, _CELL = 36, 11
 """Characters of a column of the map."""
@@ -37,7 +37,7 @@ def register(app: typer.Typer) -> None:
 def stability(
     context: typer.Context,
     regime: Annotated[
-        list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(REGIMES)}.", show_default=False)
+        list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(ABOUT)}.", show_default=False)
     ] = None,
     method: Annotated[
         list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(METHODS)}.", show_default=False)
@@ -54,7 +54,7 @@ def stability(
     as_json: AsJson = False,
 ) -> None:
     """Fit difficult measurements of known truth with every method, and draw the map of what fails and what says so."""
-    wanted = jobs(regime or list(REGIMES), method or list(METHODS), runs)
+    wanted = jobs(regime or list(ABOUT), method or list(METHODS), runs)
     with processes(context.obj, workers) as executor:
         made = ensemble(wanted, executor, resume)
         found = list(track(made, "Fitting", len(wanted), console=screen, disable=not screen.is_terminal))

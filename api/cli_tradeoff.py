@@ -7,9 +7,10 @@ from rich.console import Console
 
 from analysis.tradeoff import Chart, charts_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
+from api.choices import Kind
 from api.simulations import Page, write_page
 from api.terminal import screen
-from api.tradeoff import TITLE, Kind, chapters, charts
+from api.tradeoff import TITLE, chapters, charts
 
 
 def register(app: typer.Typer) -> None:

@@ -14,7 +14,7 @@ from goniometer.records import Expected, Kind
 LOG_INTERVAL = 5.0
 """Seconds between two lines of progress in a log."""
 
-Show = Callable[[Progress], None]
+Show = Callable[["Progress"], None]
 Note = Callable[[str], None]
 
 

@@ -29,9 +29,6 @@ from simulators.ray_scan import Goniometer, RayScan, ray_scan
 from simulators.rays import terrain
 from simulators.topography import Topography, topography
 
-_WAVELENGTHS = np.arange(380.0, 991.0, 10.0)
-"""nm; of these, the ones that the table of the conductor covers."""
-
 _PATCHES = 4
 """Of a surface that is synthesised, unless said otherwise."""
 
@@ -132,11 +129,12 @@ def rays_command(
 
 def _covered(metal: Conductor) -> FloatArray:
     """The wavelengths that the table of a conductor has."""
-    found = _WAVELENGTHS[(metal.wavelengths[0] <= _WAVELENGTHS) & (metal.wavelengths[-1] >= _WAVELENGTHS)]
+    wanted = np.arange(380.0, 991.0, 10.0)
+    found = wanted[(metal.wavelengths[0] <= wanted) & (metal.wavelengths[-1] >= wanted)]
     if found.size < 2:
         raise InputError(
             f"The table of {metal.name} covers {metal.wavelengths[0]:g} to {metal.wavelengths[-1]:g} nm, but rays are "
-            f"traced for {_WAVELENGTHS[0]:g} to {_WAVELENGTHS[-1]:g} nm; name another conductor."
+            f"traced for {wanted[0]:g} to {wanted[-1]:g} nm; name another conductor."
         )
     return np.asarray(found)
 

@@ -23,12 +23,12 @@ from drivers.arrays import FloatArray
 from goniometer.database import shown_place
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
+from simulators.choices import FEWEST, SIDE_UM, STEP_UM, Kernel
 from simulators.computed import computed_dataset
 from simulators.diffraction import Coherence, seen_through
 from simulators.wave_convergence import CONVERGED, Convergence
-from simulators.wave_scan import FEWEST, SIDE_UM, STEP_UM, Setup, choose_patches
+from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import WaveSimulation, equivalent_aperture, simulate
-from simulators.waves import Kernel
 
 APERTURE = 1.0
 """Usual full angle of the detector's aperture, degrees."""

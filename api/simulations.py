@@ -11,8 +11,8 @@ from api.derive import Export, make_folder, write_text
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from goniometer.store import Store
+from simulators.choices import PITCH_UM, SIZE
 from simulators.computed import Computed, computed_dataset
-from simulators.topography import PITCH_UM, SIZE
 
 SurfaceName = Annotated[
     str,

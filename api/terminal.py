@@ -56,12 +56,12 @@ async def confirm(state: str, request: str) -> None:
 def _forget_typed_ahead() -> None:
     """Throw away keys that were pressed before the question was asked: they are no answer to it."""
     if sys.platform == "win32":
-        import msvcrt  # noqa: PLC0415  (exists on Windows only)
+        import msvcrt
 
         while msvcrt.kbhit():
             msvcrt.getch()
     else:
-        import termios  # noqa: PLC0415  (exists elsewhere only)
+        import termios
 
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
