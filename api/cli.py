@@ -3,6 +3,8 @@
 Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progress and messages to stderr.
 """
 
+from __future__ import annotations
+
 import asyncio
 import logging
 import os
@@ -11,7 +13,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -43,27 +45,15 @@ from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
 from api.cli_tradeoff import register as add_tradeoff
-from api.datasets import too_noisy
-from api.demo import demo as run_demo
-from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
-from api.executor import processes
 from api.logged import Logged
-from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
-from api.preview import drawing, preview
-from api.products import HowToFit, fit_datasets, fit_lines, report_dataset
-from api.service import ACTIVE_PHASES, Watch, active_scan, diagnose, run
-from api.settings import load_instrument
 from api.terminal import ask_to_mount, screen, wait
 from drivers.errors import DriverError
-from goniometer.campaign_file import load_campaign
-from goniometer.dataset import kind_of
-from goniometer.dataset_file import last_file
-from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
-from goniometer.plan_spec import ORDINARY
-from goniometer.records import Command
-from goniometer.store import Store
+
+if TYPE_CHECKING:
+    from api.outcome import SampleOutcome
+    from goniometer.records import Command
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
@@ -96,6 +86,10 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
+    from api.demo import demo as run_demo
+    from api.outcome import STATED
+    from api.service import Watch
+
     with progress_display(screen) as (show, note):
         result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount), context.obj))
     if as_json:
@@ -125,6 +119,13 @@ def run_command(
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
+    from api.derive import slug
+    from api.outcome import STATED, outcomes
+    from api.service import Watch, run
+    from api.settings import load_instrument
+    from goniometer.campaign_file import load_campaign
+    from goniometer.store import Store
+
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
     store = Store.open(database, bench_of(bench, settings))
@@ -160,6 +161,9 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check every device: open it, read it, turn it a degree, and say in one line each what is wrong."""
+    from api.service import diagnose
+    from api.settings import load_instrument
+
     if instrument:
         screen.print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
     findings = wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
@@ -182,6 +186,8 @@ def _fail_for(failures: tuple[str, ...]) -> None:
 
 
 def _show(samples: list[SampleOutcome]) -> None:
+    from api.outcome import remarks, table
+
     out = Console()
     out.print(table(samples))
     for line in remarks(samples):
@@ -196,6 +202,13 @@ def plan(
     as_json: AsJson = False,
 ) -> None:
     """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
+    from api.derive import write_text
+    from api.preview import drawing, preview
+    from api.settings import load_instrument
+    from goniometer.campaign_file import load_campaign
+    from goniometer.duration import DEAD_TIME
+    from goniometer.plan_spec import ORDINARY
+
     wanted = load_campaign(campaign)
     settings = None if instrument is None else load_instrument(instrument)
     motion = ORDINARY if settings is None else settings.motion
@@ -214,6 +227,11 @@ def plan(
 @app.command()
 def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """What is in the database, and what is running."""
+    from api.datasets import too_noisy
+    from api.service import ACTIVE_PHASES
+    from goniometer.dataset import kind_of
+    from goniometer.dataset_file import last_file
+
     store = existing(database)
     scans = store.scans()
     found = [asdict(scan) for scan in scans]
@@ -267,6 +285,8 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
 
 def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
     def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
+        from api.service import active_scan
+
         store = existing(database)
         scan = active_scan(store, bench)
         store.request(scan.id, verb)
@@ -306,6 +326,9 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Fit datasets again and store the fits beside the earlier ones; several are fitted at once."""
+    from api.executor import processes
+    from api.products import HowToFit, fit_datasets, fit_lines
+
     store = existing(database)
     how = HowToFit(engine, distribution, weight, conductor)
     wanted = list(dict.fromkeys(chosen_dataset(store, each) for each in dataset))
@@ -344,6 +367,8 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
+    from api.products import report_dataset
+
     store = existing(database)
     tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
 

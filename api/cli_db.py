@@ -1,21 +1,20 @@
 """The commands that keep the database: what is in it is neither lost nor left behind."""
 
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from api import audit
 from api.arguments import DATABASE, AsJson, emit
 from api.logged import Logged, account
-from goniometer.backup import back_up, restore
-from goniometer.database import Database, shown_place
 from goniometer.errors import StoreOutdated
-from goniometer.integrity import Findings, check
-from goniometer.store import Store
-from goniometer.upgrade import upgrade
+
+if TYPE_CHECKING:
+    from goniometer.integrity import Findings
 
 db = typer.Typer(help="Keep the database: back it up, restore, check and upgrade it.")
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
@@ -34,6 +33,9 @@ def backup_command(
     as_json: AsJson = False,
 ) -> None:
     """Copy the database to a file, also while a campaign runs; the copy is checked before it gets its name."""
+    from goniometer.backup import back_up
+    from goniometer.database import Database, shown_place
+
     store = Database.as_it_is(database)
     back_up(store, target)
     store.close()
@@ -52,6 +54,11 @@ def restore_command(
     as_json: AsJson = False,
 ) -> None:
     """Let the database be what a backup holds, once the backup is seen to be whole."""
+    from api import audit
+    from goniometer.backup import restore
+    from goniometer.database import shown_place
+    from goniometer.store import Store
+
     kept = restore(backup, database, replace=replace)
     lines = [f"{shown_place(database)} is what {backup} holds."]
     if kept is not None:
@@ -72,6 +79,8 @@ def restore_command(
 @db.command(name="check")
 def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Read the whole database and say in one line each what is wrong."""
+    from goniometer.database import shown_place
+
     found = examine(database)
     lines = [f"{fault}." for fault in found.faults] or [
         f"{shown_place(database)} is whole: {found.exposures} raw exposures are as they were written, "
@@ -89,6 +98,9 @@ def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> 
 @db.command(name="upgrade", cls=Logged)
 def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Bring the database of an older version to this one: all of it or nothing, after a backup beside it."""
+    from goniometer.database import shown_place
+    from goniometer.upgrade import upgrade
+
     done = upgrade(database)
     lines = done.steps or [f"{shown_place(database)} is of this version already."]
     if done.backup is not None:
@@ -99,6 +111,10 @@ def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -
 
 def examine(where: str) -> Findings:
     """Everything that is wrong with a database, the log of who did what included."""
+    from api import audit
+    from goniometer.database import Database
+    from goniometer.integrity import check
+
     database = Database.as_it_is(where)
     try:
         found = check(database)

@@ -1,7 +1,9 @@
 """The command that writes a dataset in a format of others."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -9,9 +11,10 @@ from rich.console import Console
 from analysis.choices import BRDF_MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.choices import WRITTEN
-from api.derive import Export
-from api.exports import Options, export_dataset
 from api.logged import Logged
+
+if TYPE_CHECKING:
+    from api.derive import Export
 
 _ABOUT = "; ".join(f"{name}: {about}" for name, about in WRITTEN.items())
 
@@ -53,6 +56,8 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
+    from api.exports import Options, export_dataset
+
     store = existing(database)
     said = Options(
         raw=raw,

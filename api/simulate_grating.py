@@ -7,7 +7,6 @@ import typer
 from rich.console import Console
 
 from api.arguments import AsJson, emit
-from api.gratings import binned, body, computed, content, table, told
 from api.logged import Logged
 from api.simulations import Page, store_computed, write_page
 from simulators.choices import Spread
@@ -36,6 +35,8 @@ def grating_command(
     as_json: AsJson = False,
 ) -> None:
     """Spectra of many gratings, binned over the diffraction angle, and how far they are linear in the wavelength."""
+    from api.gratings import binned, body, computed, content, table, told
+
     found = {spread: binned(incident, spread, smallest_period, largest_period) for spread in Spread}
     dataset = None
     if database is not None:

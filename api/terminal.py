@@ -1,18 +1,22 @@
 """The person at the terminal: what is asked of them, and how the signals that end a process end it properly."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import signal
 import sys
 import threading
 from collections.abc import Coroutine
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 
 from api.mount_request import mount_request
 from goniometer.errors import RunAborted
-from goniometer.records import Scan
+
+if TYPE_CHECKING:
+    from goniometer.records import Scan
 
 Result = TypeVar("Result")
 screen = Console(stderr=True)
