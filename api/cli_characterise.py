@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, bench_of, emit
 from api.characterise import Found, characterise, check_figure, content, instrument_lines, lines, write_figure
 from api.logged import Logged
 from api.settings import load_instrument
-from api.terminal import confirm, screen, wait
+from api.terminal import Terminal, confirm, screen, wait
 from goniometer.certificate import NOMINAL_SRS99, PanelCertificate
 from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.characterise import (
@@ -158,7 +157,7 @@ def _characterise(
     if as_json:
         emit(content(found, proposed) | {"path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     stated = BenchData() if settings is None else settings.bench_data
     told = lines(found, stated)
     if proposed:

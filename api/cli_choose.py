@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from analysis.asked import scene_weights
 from analysis.choose_report import choice_body, summary, verified_lines
@@ -13,6 +12,7 @@ from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_da
 from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
 from api.derive import write_rung, write_text
 from api.simulations import Page, write_page
+from api.terminal import Terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -67,7 +67,7 @@ def choose_command(
             | choice_content(found)
         )
         return
-    out = Console()
+    out = Terminal()
     for line in summary(found.choice):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in [] if found.rendered is None else verified_lines(found.rendered):

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from analysis.choices import BRDF_MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
@@ -12,6 +11,7 @@ from api.choices import WRITTEN
 from api.derive import Export
 from api.exports import Options, export_dataset
 from api.logged import Logged
+from api.terminal import Terminal
 
 _ABOUT = "; ".join(f"{name}: {about}" for name, about in WRITTEN.items())
 
@@ -72,7 +72,7 @@ def tell_export(written: Export, *, as_json: bool) -> None:
     if as_json:
         emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256} | written.facts)
         return
-    out = Console()
+    out = Terminal()
     out.print(f"Wrote {written.path}", markup=False, highlight=False)
     for line in written.notes:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -5,12 +5,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.imports import Request, imported_file
 from api.logged import Logged
 from api.quality import quality, quality_lines
+from api.terminal import Terminal
 from goniometer.choices import Quantity
 from goniometer.dataset import Dataset
 from goniometer.store import Store
@@ -94,7 +94,7 @@ def import_command(
     if as_json:
         emit(found)
         return
-    out = Console()
+    out = Terminal()
     for line in (_summary(file, made, dataset), *_notes(dataset), *quality_lines(found)[1:]):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

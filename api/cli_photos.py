@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from analysis.photo_page import photo_page, photo_remarks
@@ -13,6 +12,7 @@ from analysis.photo_statistics import PhotoStatistics, photo_statistics
 from api.arguments import AsJson, emit
 from api.derive import make_folder, write_text
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.budget import COVERAGE_FACTOR
 from goniometer.photos import PhotoSeries, read_series
 
@@ -43,7 +43,7 @@ def photos(
         told = [_content(*one) for one in zip(series, read, found, strict=True)]
         emit({"series": told, "path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for one, statistics in zip(read, found, strict=True):
         out.print(_rows(one, statistics))
         for line in photo_remarks(one, statistics):

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from analysis.page import MODEL_NAMES
 from analysis.render import SEEDS
@@ -14,6 +13,7 @@ from api.choices import Through
 from api.derive import slug
 from api.render import RenderedDataset, render_dataset
 from api.simulations import Page, write_page
+from api.terminal import Terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -63,7 +63,7 @@ def render_command(
     if as_json:
         emit({"dataset": dataset_id, "page": None if written is None else str(written)} | _content(found, samples))
         return
-    out = Console()
+    out = Terminal()
     for line in [*lines, *found.notes]:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for path in [*(file.path for file in found.files), *([] if written is None else [written])]:

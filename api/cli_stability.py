@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import track
 
 from api.arguments import AsJson, emit
@@ -20,7 +19,7 @@ from api.stability import (
     stability_body,
     stability_content,
 )
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from simulators.choices import ABOUT, METHODS
 from simulators.ensemble import Cell, cells, ensemble, jobs
 from simulators.stability import Run
@@ -70,7 +69,7 @@ def stability(
 
 
 def _tell(found: list[Cell], silent: list[Run], written: Path | None) -> None:
-    out = Console()
+    out = Terminal()
     methods = [name for name in METHODS if any(cell.method == name for cell in found)]
     rows = rows_of(found)
     lines = [f"{'':{_LEVEL}}" + "".join(f"{number:>{_CELL}}" for number, _ in enumerate(methods, start=1))]

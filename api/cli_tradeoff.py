@@ -3,13 +3,12 @@
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from analysis.tradeoff import Chart, charts_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
 from api.choices import Kind
 from api.simulations import Page, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from api.tradeoff import TITLE, chapters, charts
 
 
@@ -45,7 +44,7 @@ def tradeoff_command(
     if as_json:
         emit({"charts": charts_json(found), "page": path})
         return
-    out = Console()
+    out = Terminal()
     for chart in found:
         for line in _lines(chart):
             out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from analysis.fresnel import load_conductor
 from api.arguments import AsJson, emit
 from api.derive import make_folder
 from api.simulations import Micro, Pitch, Seed, Size, SurfaceName
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from goniometer.errors import InputError
 from simulators.camera import Sensor, fineness_for, lighting_for, scene
 from simulators.photo_session import ANGLES, CHECKED, convergence, take_series
@@ -89,7 +88,7 @@ def photos_command(
             }
         )
         return
-    out = Console()
+    out = Terminal()
     for line in (
         f"Wrote {len(ANGLES)} photographs and the panel's to {output}; look at them with: goniometer photos {path}",
         check.message,

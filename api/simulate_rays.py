@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
@@ -19,7 +18,7 @@ from api.products import conductor_name
 from api.ray_page import chapters, chosen
 from api.ray_results import computed, decomposition, lines, warnings
 from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from drivers.arrays import FloatArray
 from goniometer.database import shown_place
 from goniometer.errors import InputError
@@ -119,7 +118,7 @@ def rays_command(
             }
         )
         return
-    out = Console()
+    out = Terminal()
     for line in lines(scan, changes):
         out.print(line, markup=False, highlight=False)
     out.print(f"{name} (rays): dataset {dataset} in {shown_place(database)}", markup=False, highlight=False)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from api.arguments import AsJson, emit
@@ -13,6 +12,7 @@ from api.derive import make_folder, write_file
 from api.simulations import Micro, Page, Pitch, Seed, Size, write_page
 from api.surface_facts import Described, described, how_made, remark, shown
 from api.surface_page import one_surface, several_surfaces, title
+from api.terminal import Terminal
 from goniometer.errors import InputError
 from simulators.topography import topography
 from simulators.topography_file import write_topography
@@ -58,7 +58,7 @@ def surface_command(
     if as_json:
         emit({"surfaces": [_content(one) for one in found], "written": [str(path) for path in written]})
         return
-    out = Console()
+    out = Terminal()
     for one in found:
         out.print(_table(one))
         for line in [*how_made(one.surface), remark(one)]:

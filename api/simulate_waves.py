@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from analysis.analyse import analyse
@@ -17,7 +16,7 @@ from api.executor import processes
 from api.logged import Logged
 from api.products import conductor_name
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from api.wave_page import page_body
 from drivers.arrays import FloatArray
 from goniometer.database import shown_place
@@ -127,7 +126,7 @@ def waves_command(
     if as_json:
         emit(_content(dataset_id, database, found, setup) | {"page": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for line in _lines(dataset_id, found):
         out.print(line, markup=False, highlight=False)
     if written is not None:
