@@ -36,7 +36,7 @@ def chosen_dataset(store: Store, name: str) -> int:
     *others, newest = find_datasets(store, name)
     if others:
         known = f"{', '.join(map(str, others))} and {newest}"
-        sample, own = dataset_names(store)[newest]
+        sample, own = dataset_names(store, newest)
         meant = own if name.lower() == own.lower() else sample
         told = f"{meant} has datasets {known}; taking {newest}, name a number"
         screen.print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)

@@ -31,7 +31,7 @@ def bluesky_lines(store: Store, dataset_id: int) -> str:
 def bluesky_documents(store: Store, dataset_id: int) -> Iterator[Document]:
     """The documents of a dataset in their order; raises `NotInStore`."""
     dataset = store.dataset(dataset_id)
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     scan = None if scan_id is None else store.scan(scan_id)
     exposures = [] if scan is None else store.exposures(scan.id)
     began = ended = _seconds(store.dataset_created(dataset_id))

@@ -159,9 +159,9 @@ def counts(exposure: int) -> Call[FloatArray]:
 # Samples and datasets
 
 
-def samples() -> Call[list[SampleRow]]:
+def samples() -> Call[Page[SampleRow]]:
     """All samples, in alphabetical order."""
-    return get("/api/samples", list[SampleRow])
+    return get("/api/samples", Page[SampleRow], limit=MOST)
 
 
 def sample(name: str) -> Call[SampleView]:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
 
 from analysis.choices import MODELS, Distribution, Engine, Weight
 from analysis.errors import AnalysisError
@@ -47,7 +46,7 @@ from api.cli_stability import register as add_stability
 from api.cli_tradeoff import register as add_tradeoff
 from api.display import called, duration, progress_display, span
 from api.logged import Logged
-from api.terminal import ask_to_mount, screen, wait
+from api.terminal import Terminal, ask_to_mount, screen, wait
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError
 
@@ -97,7 +96,7 @@ def demo(
         _fail_for(result.failures)
         return
     _show(result.samples)
-    Console().print(
+    Terminal().print(
         f"Took {duration(result.seconds)} here; the bench would have needed {duration(result.bench_seconds)}."
     )
     _fail_for(result.failures)
@@ -171,7 +170,7 @@ def doctor(
     if as_json:
         emit({"fit": fit, "findings": [asdict(finding) for finding in findings]})
     else:
-        out = Console()
+        out = Terminal()
         for finding in findings:
             style = "red" if finding.problems else None
             out.print(finding.line(), style=style, markup=False, highlight=False, soft_wrap=True)
@@ -188,7 +187,7 @@ def _fail_for(failures: tuple[str, ...]) -> None:
 def _show(samples: list[SampleOutcome]) -> None:
     from api.outcome import remarks, table
 
-    out = Console()
+    out = Terminal()
     out.print(table(samples))
     for line in remarks(samples):
         out.print(line, markup=False, highlight=False)
@@ -217,7 +216,7 @@ def plan(
     if as_json:
         emit(asdict(found) | {"path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for line in found.lines():
         out.print(line, markup=False, highlight=False)
     if written is not None:
@@ -225,28 +224,37 @@ def plan(
 
 
 @app.command()
-def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
+def status(
+    database: DatabaseFile = DATABASE,
+    last: Annotated[int, typer.Option(min=1, help="Campaigns, and datasets of none, to show: the newest.")] = 20,
+    as_json: AsJson = False,
+) -> None:
     """What is in the database, and what is running."""
-    from api.datasets import too_noisy
-    from api.service import ACTIVE_PHASES
+    from goniometer import look_up
     from goniometer.dataset import kind_of
     from goniometer.dataset_file import last_file
+    from goniometer.exposure import below_wanted
+    from goniometer.records import ACTIVE_PHASES
 
     store = existing(database)
-    scans = store.scans()
+    names, running = store.campaigns(), look_up.scans_in_phases(store, ACTIVE_PHASES)
+    chosen = sorted({*list(names)[-last:], *(scan.campaign_id for scan in running)})
+    scans = [scan for campaign_id in chosen for scan in store.scans(campaign_id)]
     found = [asdict(scan) for scan in scans]
     benches = store.benches()
     in_use = {bench for bench in set(benches.values()) if store.in_use(bench)}
+    wanted = {campaign_id: store.campaign(campaign_id).integration.signal_to_noise for campaign_id in chosen}
     for scan, entry in zip(scans, found, strict=True):
         entry["name"] = scan.name
         entry["bench"] = benches[scan.campaign_id]
         entry["interrupted"] = entry["phase"] in ACTIVE_PHASES and entry["bench"] not in in_use
-        points = store.points(entry["id"])
+        points = store.points(scan.id)
         entry["points_done"] = sum(point.status == "done" for point in points)
-        entry["too_noisy"] = too_noisy(store, scan)
-        entry["datasets"] = list(store.datasets(entry["id"]))
-    alone = [dataset_id for dataset_id, scan_id in store.datasets().items() if scan_id is None]
-    samples, lineages = store.dataset_samples(), {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
+        entry["too_noisy"] = below_wanted(points, wanted[scan.campaign_id])
+        entry["datasets"] = list(store.datasets(scan.id))
+    alone, of_none = store.without_scan(last)
+    lineages = {dataset_id: store.lineage(dataset_id) for dataset_id in alone}
+    left_out = {"campaigns": len(names) - len(chosen), "datasets": of_none - len(alone)}
     of_kind: dict[str, list[tuple[int, object]]] = {"measured": [], "imported": [], "simulated": []}
     for i, lineage in lineages.items():
         kind = kind_of(lineage)
@@ -255,18 +263,20 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
         emit(
             {
                 "database": store.where,
-                "campaigns": store.campaigns(),
+                "campaigns": {campaign_id: names[campaign_id] for campaign_id in chosen},
                 "scans": found,
                 "measured_elsewhere": [
-                    {"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["measured"]
+                    {"dataset": i, "sample": alone[i], "file": file} for i, file in of_kind["measured"]
                 ],
-                "imported": [{"dataset": i, "sample": samples[i], "file": file} for i, file in of_kind["imported"]],
-                "simulated": [{"dataset": i, "sample": samples[i], "how": how} for i, how in of_kind["simulated"]],
+                "imported": [{"dataset": i, "sample": alone[i], "file": file} for i, file in of_kind["imported"]],
+                "simulated": [{"dataset": i, "sample": alone[i], "how": how} for i, how in of_kind["simulated"]],
+                "left_out": left_out,
             }
         )
         return
-    out = Console()
-    names = store.campaigns()
+    out = Terminal()
+    if left_out["campaigns"]:
+        out.print(f"Older campaigns, shown with --last: {left_out['campaigns']}", highlight=False)
     for scan, entry in zip(scans, found, strict=True):
         state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
@@ -280,7 +290,9 @@ def status(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     for made, those in of_kind.items():
         what = "measured elsewhere" if made == "measured" else made
         for i, origin in those:
-            out.print(f"{what}: {samples[i]}: {origin}, dataset {i}", markup=False, highlight=False)
+            out.print(f"{what}: {alone[i]}: {origin}, dataset {i}", markup=False, highlight=False)
+    if left_out["datasets"]:
+        out.print(f"Older datasets of no campaign, shown with --last: {left_out['datasets']}", highlight=False)
 
 
 def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
@@ -295,7 +307,7 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
         else:
             name = called(scan.name, scan.kind)
             told = f"Asked the scan of {name} to {verb}; it obeys after the point in hand, an abort at once."
-            Console().print(told, markup=False, highlight=False)
+            Terminal().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
     return command
@@ -339,7 +351,7 @@ def fit(
             found.append(each)
             if not as_json:
                 for line in fit_lines(each):
-                    Console().print(line, markup=False, highlight=False)
+                    Terminal().print(line, markup=False, highlight=False)
     if as_json:
         emit(found[0] if len(found) == 1 else {"datasets": found})
 

@@ -6,12 +6,12 @@ from datetime import timedelta
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
 from api.choices import FIRST_USER, Role
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.errors import InputError
 
 user_app = typer.Typer(help="Who may use the service.")
@@ -130,7 +130,7 @@ def create(
     if as_json:
         emit(asdict(made) | {"token": text})
     else:
-        Console().print(text, markup=False, highlight=False, soft_wrap=True)
+        Terminal().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 @token_app.command(name="list")
@@ -169,10 +169,11 @@ def show(
     if as_json:
         emit({"log": rows})
         return
-    out = Console()
+    out = Terminal()
     for row in rows:
         line = f"{row['sequence']} {row['time']} {row['who']} ({row['via']}) {row['action']} {row['about']}"
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
+        # an address that somebody asked for may hold the end of a line
+        out.print(line.replace("\n", "\\n"), markup=False, highlight=False, soft_wrap=True)
 
 
 @log_app.command()
@@ -184,7 +185,7 @@ def head(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     if as_json:
         emit({"head": last})
     else:
-        Console().print(last, highlight=False)
+        Terminal().print(last, highlight=False)
 
 
 @log_app.command()
@@ -221,7 +222,7 @@ def _tell(found: dict[str, Any], line: str, *, as_json: bool) -> None:
     if as_json:
         emit(found)
     else:
-        Console().print(line, markup=False, highlight=False, soft_wrap=True)
+        Terminal().print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _tell_table(name: str, rows: list[dict[str, Any]], *, as_json: bool) -> None:
@@ -231,4 +232,4 @@ def _tell_table(name: str, rows: list[dict[str, Any]], *, as_json: bool) -> None
     table = Table(*(rows[0] if rows else ()))
     for row in rows:
         table.add_row(*("" if value is None else str(value) for value in row.values()))
-    Console().print(table)
+    Terminal().print(table)

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, bench_of, emit
 from api.logged import Logged
-from api.terminal import confirm, screen, wait
+from api.terminal import Terminal, confirm, screen, wait
 
 if TYPE_CHECKING:
     from api.characterise import Found
@@ -167,7 +166,7 @@ def _characterise(
     if as_json:
         emit(content(found, proposed) | {"path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     stated = BenchData() if settings is None else settings.bench_data
     told = lines(found, stated)
     if proposed:

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.simulations import Page, write_page
+from api.terminal import Terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -68,7 +68,7 @@ def choose_command(
             | choice_content(found)
         )
         return
-    out = Console()
+    out = Terminal()
     for line in summary(found.choice):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in [] if found.rendered is None else verified_lines(found.rendered):

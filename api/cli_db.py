@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from api.arguments import DATABASE, AsJson, emit
+from api.arguments import DATABASE, AsJson, emit, existing
 from api.logged import Logged, account
-from goniometer.errors import StoreOutdated
+from api.terminal import Terminal
+from goniometer.errors import InputError, StoreOutdated
 
 if TYPE_CHECKING:
+    from goniometer.archiving import Moved
     from goniometer.integrity import Findings
+    from goniometer.store import Store
 
-db = typer.Typer(help="Keep the database: back it up, restore, check and upgrade it.")
+db = typer.Typer(help="Keep the database: back it up, restore, check, upgrade and archive it.")
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
 OfDatabase = Annotated[str, typer.Option("--database", "-d", help="Its file.")]
 
@@ -109,6 +112,56 @@ def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -
     _tell(found, lines, as_json=as_json)
 
 
+@db.command(name="archive", cls=Logged)
+def archive_command(
+    folder: Annotated[Path, typer.Option("--to", help="Folder for the files; it must be there.", show_default=False)],
+    scan: Annotated[list[int] | None, typer.Option(help="Number of a scan; may be repeated.")] = None,
+    before: Annotated[
+        datetime | None, typer.Option(formats=["%Y-%m-%d"], help="All scans that ended before this day, UTC.")
+    ] = None,
+    database: OfDatabase = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """Move raw counts of finished scans to HDF5 files, one a scan, from which they are read on as before."""
+    from goniometer.archiving import archive_scan, finished_before
+
+    store = existing(database)
+    if (scan is None) == (before is None):
+        raise InputError("Say --scan or --before; the one names scans, the other a day")
+    chosen = scan if before is None else finished_before(store, before.strftime("%Y-%m-%d"))
+    moved = [archive_scan(store, number, folder) for number in chosen or []]
+    _tell_moved(store, moved, as_json=as_json)
+
+
+@db.command(name="unarchive", cls=Logged)
+def unarchive_command(
+    scan: Annotated[list[int], typer.Option(help="Number of a scan; may be repeated.", show_default=False)],
+    database: OfDatabase = DATABASE,
+    as_json: AsJson = False,
+) -> None:
+    """Bring raw counts back into the database; their files are left where they are."""
+    from goniometer.archiving import unarchive_scan
+
+    store = existing(database)
+    _tell_moved(store, [unarchive_scan(store, number) for number in scan], as_json=as_json)
+
+
+def _tell_moved(store: Store, moved: list[Moved], *, as_json: bool) -> None:
+    from goniometer.archiving import give_back
+
+    smaller = give_back(store)
+    freed, written = sum(each.freed for each in moved), sum(each.octets for each in moved)
+    lines = [f"Scan {each.scan_id}: {each.path}, {each.octets / 1e6:.1f} MB." for each in moved]
+    if freed < 0:
+        lines.append(f"{-freed / 1e6:.1f} MB are in the database again; nothing needs these files any more.")
+    else:
+        how = f"which is {smaller / 1e6:.1f} MB smaller" if smaller else "where there is room for what comes next"
+        told = f"{freed / 1e6:.1f} MB of raw counts left the database, {how}; the files have {written / 1e6:.1f} MB."
+        lines.append(told if freed else "No raw counts left the database.")
+    found = {"scans": [dataclasses.asdict(each) for each in moved], "freed": freed, "file_smaller_by": smaller}
+    _tell(found, lines, as_json=as_json)
+
+
 def examine(where: str) -> Findings:
     """Everything that is wrong with a database, the log of who did what included."""
     from api import audit
@@ -130,6 +183,6 @@ def _tell(found: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     if as_json:
         emit(found)
         return
-    out = Console()
+    out = Terminal()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.choices import Quantity
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def import_command(
     if as_json:
         emit(found)
         return
-    out = Console()
+    out = Terminal()
     for line in (_summary(file, made, dataset), *_notes(dataset), *quality_lines(found)[1:]):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

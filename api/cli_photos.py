@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from api.arguments import AsJson, emit
 from api.logged import Logged
+from api.terminal import Terminal
 
 if TYPE_CHECKING:
     from analysis.photo_statistics import PhotoStatistics
@@ -49,7 +49,7 @@ def photos(
         told = [_content(*one) for one in zip(series, read, found, strict=True)]
         emit({"series": told, "path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for one, statistics in zip(read, found, strict=True):
         out.print(_rows(one, statistics))
         for line in photo_remarks(one, statistics):

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.errors import InputError
 
 
@@ -43,7 +43,7 @@ def budget(
     if as_json:
         emit(budget_content(dataset_id, found) | {"path": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     first, *rest = budget_lines(dataset_id, found, words(read).done)
     out.print(first, markup=False, highlight=False)
     out.print(budget_rows(found))
@@ -117,7 +117,7 @@ def calibrate(
         return
     corrections = made.lineage["corrections"]
     assert isinstance(corrections, dict)  # by name, as calibration writes them
-    origin = f"scan {store.datasets()[new]}" if old is None else f"dataset {old}"
+    origin = f"scan {store.scan_of(new)}" if old is None else f"dataset {old}"
     told = ", ".join(f"{name} {state}" for name, state in corrections.items())
     first = (
         f"Made dataset {new} from the raw data of {origin}, with the certificate {made.lineage['certificate']}.",
@@ -127,6 +127,6 @@ def calibrate(
 
 
 def _show(lines: list[str]) -> None:
-    out = Console()
+    out = Terminal()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.choices import Through
 from api.simulations import Page, write_page
+from api.terminal import Terminal
 
 if TYPE_CHECKING:
     from api.render import RenderedDataset
@@ -69,7 +69,7 @@ def render_command(
     if as_json:
         emit({"dataset": dataset_id, "page": None if written is None else str(written)} | _content(found, samples))
         return
-    out = Console()
+    out = Terminal()
     for line in [*lines, *found.notes]:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for path in [*(file.path for file in found.files), *([] if written is None else [written])]:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import track
 
 from api.arguments import AsJson, emit
 from api.simulations import Page, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from simulators.choices import ABOUT, METHODS
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def stability(
 def _tell(found: list[Cell], silent: list[Run], written: Path | None) -> None:
     from api.stability import HOW_TO_READ, rows_of, silent_line
 
-    out = Console()
+    out = Terminal()
     methods = [name for name in METHODS if any(cell.method == name for cell in found)]
     rows = rows_of(found)
     lines = [f"{'':{_LEVEL}}" + "".join(f"{number:>{_CELL}}" for number, _ in enumerate(methods, start=1))]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
 from api.choices import Kind
 from api.simulations import Page, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 
 if TYPE_CHECKING:
     from analysis.tradeoff import Chart
@@ -51,7 +50,7 @@ def tradeoff_command(
     if as_json:
         emit({"charts": charts_json(found), "page": path})
         return
-    out = Console()
+    out = Terminal()
     for chart in found:
         for line in _lines(chart):
             out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -3,7 +3,9 @@
 import hashlib
 from dataclasses import replace
 
+from goniometer import look_up
 from goniometer.calibration import calibrate_scan
+from goniometer.catalogue import Wanted
 from goniometer.certificate import Override
 from goniometer.certificate_file import parse_certificate
 from goniometer.dataset import Dataset, Kind, kind_of
@@ -13,6 +15,9 @@ from goniometer.lineage import own_datasets
 from goniometer.records import Scan
 from goniometer.response import STANDARD, Settings
 from goniometer.store import Store
+
+_NAMED = 50
+"""Datasets that are named to who asks for another."""
 
 
 def is_called(scan: Scan, name: str) -> bool:
@@ -26,34 +31,32 @@ def campaign_datasets(store: Store, campaign_id: int) -> dict[str, Dataset]:
     return {name: store.dataset(dataset_id) for name, dataset_id in newest.items() if dataset_id is not None}
 
 
-def dataset_names(store: Store) -> dict[int, tuple[str, str]]:
-    """By the id of every dataset, oldest first: the name of its sample, and that with the number of the repeat."""
-    scans = {scan.id: (scan.sample, scan.name) for scan in store.scans()}
-    samples = store.dataset_samples()
-    return {
-        dataset_id: (samples[dataset_id], samples[dataset_id]) if scan_id is None else scans[scan_id]
-        for dataset_id, scan_id in store.datasets().items()
-    }
+def dataset_names(store: Store, dataset_id: int) -> tuple[str, str]:
+    """The name of the sample of a dataset, and that with the number of the repeat; raises `NotInStore`."""
+    entry = store.entry(dataset_id)
+    return entry.sample if entry.scan_id is None else store.scan(entry.scan_id).sample, entry.sample
 
 
 def find_datasets(store: Store, name: str) -> list[int]:
     """Ids of the datasets called `name`, oldest first: one by its number, those of one repeat, or all of a sample.
 
-    Raises `NotInStore` with the names that there are.
+    Raises `NotInStore` with the names of the newest that there are.
     """
-    datasets = dataset_names(store)
-    if name.isdecimal() and int(name) in datasets:
+    # more digits than an id has are no id
+    if name.isdecimal() and len(name) < 19 and store.has_dataset(int(name)):
         return [int(name)]
-    found = [i for i, names in datasets.items() if name.lower() in {each.lower() for each in names}]
+    found = store.called(name)
     if not found:
-        known = ", ".join(f'{dataset_id} ("{own}")' for dataset_id, (_, own) in datasets.items()) or "none yet"
-        raise NotInStore(f'There is no dataset "{name}"; there are: {known}.')
+        newest = store.entries(Wanted(), _NAMED + 1)
+        older = "older ones, " if len(newest) > _NAMED else ""
+        known = ", ".join(f'{entry.id} ("{entry.sample}")' for entry in reversed(newest[:_NAMED])) or "none yet"
+        raise NotInStore(f'There is no dataset "{name}"; there are: {older}{known}.')
     return found
 
 
 def uncalibrated_scan(store: Store, name: str) -> Scan | None:
     """The newest completed scan of the sample `name` that has no dataset; None where there is none."""
-    found = [s for s in store.scans() if s.kind == "sample" and s.outcome == "completed" and not store.datasets(s.id)]
+    found = look_up.uncalibrated_scans(store)
     return next((scan for scan in reversed(found) if is_called(scan, name)), None)
 
 
@@ -106,7 +109,7 @@ def recalibrate(
 
     Raises `InputError` for a dataset without raw data.
     """
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     if scan_id is None:
         raise InputError(f"Dataset {dataset_id} {_WITHOUT_RAW_DATA[kind_of(store.lineage(dataset_id))]}")
     return make_dataset(

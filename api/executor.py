@@ -13,6 +13,9 @@ from contextlib import contextmanager
 
 from api.derive import end_with_parent
 
+BEHIND = 10
+"""How far processes of heavy work step back: the bench and who is at the pages go before."""
+
 
 @contextmanager
 def processes(cluster: str | None, count: int | None = None) -> Iterator[Executor]:
@@ -29,7 +32,7 @@ def processes(cluster: str | None, count: int | None = None) -> Iterator[Executo
         # several tasks at once do more than one task on several threads
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
     try:
         yield pool
     except BaseException:
@@ -38,6 +41,12 @@ def processes(cluster: str | None, count: int | None = None) -> Iterator[Executo
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    end_with_parent()
+    if hasattr(os, "nice"):
+        os.nice(BEHIND)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from goniometer.bird_metadata import bird_metadata, read_about
 from goniometer.dataset import Dataset
 from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
 from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
-from goniometer.errors import InputError
+from goniometer.errors import InputError, OptionError
 from goniometer.published_json import published_json
 from goniometer.store import Store
 
@@ -89,9 +89,8 @@ def _write_bird(store: Store, dataset_id: int, path: Path, options: Options) -> 
 
 def _write_package(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
     if options.license is None or not options.creators:
-        raise InputError(
-            'A package needs terms; state --license, e.g. CC-BY-4.0, and --creator "Family, Given" for everybody.'
-        )
+        told = 'A package needs terms; state {license}, e.g. CC-BY-4.0, and {creators} "Family, Given" for everybody.'
+        raise OptionError(told, "license", **_CALLED)
     said = {} if options.about is None else read_about(options.about)
     terms = options.license, options.creators
     return write_package(store, dataset_id, path, terms, said, options.attached)
@@ -131,7 +130,7 @@ FORMATS: dict[str, Format] = {
 """By the name that `goniometer export --to` takes."""
 
 
-_OPTION = {"creators": "--creator", "attached": "--attach"}
+_CALLED = {"creators": "--creator", "attached": "--attach"}
 """Option of the command where it is not called as the field."""
 
 
@@ -147,8 +146,8 @@ def export_dataset(
         raise InputError(f'There is no format "{to}"; there are {", ".join(FORMATS)}.')
     said = [each.name for each in fields(options) if getattr(options, each.name) != each.default]
     if needless := [name for name in said if name not in wanted.uses]:
-        names = ", ".join(_OPTION.get(name, f"--{name}") for name in needless)
-        raise InputError(f"An export to {to} has no use for {names}; leave it out.")
+        names = ", ".join(f"{{{name}}}" for name in needless)
+        raise OptionError(f"An export to {to} has no use for {names}; leave it out.", *needless, **_CALLED)
     export = wanted.write(store, dataset_id, path or usual_path(store.dataset(dataset_id), wanted.ending), options)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export

@@ -11,11 +11,12 @@ from goniometer.choices import Quantity
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import reloaded
 from goniometer.delimited import Meaning, read_delimited
-from goniometer.errors import DataFileError, InputError
+from goniometer.errors import DataFileError, OptionError
 from goniometer.imported import Stated, imported_dataset
 from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
 from goniometer.published_json import read_published_json
 from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
+from goniometer.wording import check_name
 
 FileFormat = Literal["published JSON", "BiRD JSON", "raw text", "table"]
 
@@ -73,16 +74,21 @@ def imported_file(asked: Request) -> Dataset:
     table, notes, more = _read(asked, kind, text)
     table, tidying = tidied(str(asked.path), table, asked.lowest, asked.highest)
     if (table.u is None) == (asked.relative_uncertainty is None):
-        raise InputError(
-            f"{asked.path}: states no uncertainty; say with --relative-uncertainty what part of a value is uncertain."
+        told = (
+            "states no uncertainty; say with {relative_uncertainty} what part of a value is uncertain."
             if table.u is None
-            else f"{asked.path}: states the uncertainty of every value itself; leave out --relative-uncertainty."
+            else "states the uncertainty of every value itself; leave out {relative_uncertainty}."
         )
+        raise OptionError(f"{asked.path}: {told}", "relative_uncertainty")
     assert asked.aperture is not None  # as is what follows, checked with the options
     assert asked.angle_uncertainty is not None
     stated = Stated(asked.relative_uncertainty, asked.relative_noise, asked.aperture, asked.angle_uncertainty)
     lineage |= more | {"notes": [*notes, *tidying]}
-    return imported_dataset(asked.sample or _name_in_file(more) or asked.path.stem, table, stated, lineage)
+    try:
+        sample = check_name(asked.sample or _name_in_file(more) or asked.path.stem)
+    except ValueError as error:
+        raise DataFileError(f"{asked.path}: {error}; say with --sample what the sample is called.") from None
+    return imported_dataset(sample, table, stated, lineage)
 
 
 def file_format(text: str) -> FileFormat:
@@ -102,35 +108,38 @@ def _name_in_file(lineage: dict[str, object]) -> str:
 
 
 def _check_nothing_said(asked: Request) -> None:
-    """Raise `InputError` for anything that was said of a file that says everything itself."""
+    """Raise `OptionError` for anything that was said of a file that says everything itself."""
     said = [each.name for each in fields(asked) if each.name != "path" and getattr(asked, each.name) != each.default]
     if said:
-        raise InputError(
-            f"{asked.path}: was written by this program and says everything itself; leave out {_options(said)}."
+        raise OptionError(
+            f"{asked.path}: was written by this program and says everything itself; leave out {_options(said)}.", *said
         )
 
 
 def _check_options(asked: Request, kind: FileFormat) -> None:
-    """Raise `InputError` for options that this kind of file lacks, and for those that it has no use for."""
+    """Raise `OptionError` for options that this kind of file lacks, and for those that it has no use for."""
     missing = [name for name in ("aperture", "angle_uncertainty") if getattr(asked, name) is None]
     if kind == "table":
         missing += [name for name in _OF_TABLE if getattr(asked, name) is None]
     if kind == "raw text":
         missing += [name for name in ("reference", "certificate", "saturation") if getattr(asked, name) is None]
         if (asked.darks is None) != asked.dark_subtracted:
-            raise InputError(
-                f"{asked.path}: holds raw counts; name either dark spectra with --darks, or say with --dark-subtracted "
-                f"that the instrument took them off."
+            raise OptionError(
+                f"{asked.path}: holds raw counts; name either dark spectra with {{darks}}, or say with "
+                f"{{dark_subtracted}} that the instrument took them off.",
+                "darks",
+                "dark_subtracted",
             )
     if missing:
-        raise InputError(
-            f"{asked.path}: is read as {_AS[kind]}, which does not say everything; state {_options(missing)} as well."
+        raise OptionError(
+            f"{asked.path}: is read as {_AS[kind]}, which does not say everything; state {_options(missing)} as well.",
+            *missing,
         )
     needless = [name for name in (*_OF_TABLE, *_OF_RAW) if getattr(asked, name) not in {None, False}]
     needless = [name for name in needless if name not in _USED[kind]]
     if needless:
-        raise InputError(
-            f"{asked.path}: is read as {_AS[kind]}, which has no use for {_options(needless)}; leave it out."
+        raise OptionError(
+            f"{asked.path}: is read as {_AS[kind]}, which has no use for {_options(needless)}; leave it out.", *needless
         )
 
 
@@ -149,7 +158,7 @@ _USED: dict[FileFormat, tuple[str, ...]] = {
 
 
 def _options(names: list[str]) -> str:
-    return ", ".join(f"--{name.replace('_', '-')}" for name in names)
+    return ", ".join(f"{{{name}}}" for name in names)
 
 
 def _read(asked: Request, kind: FileFormat, text: str) -> tuple[MeasuredTable, list[str], dict[str, object]]:

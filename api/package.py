@@ -62,7 +62,7 @@ def write_package(
 def _data(store: Store, dataset_id: int, said: dict[str, Any]) -> tuple[list[Part], list[str]]:
     """The dataset itself, what it was measured with, and sentences about what is not there."""
     dataset = store.dataset(dataset_id)
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     raw = None if scan_id is None else raw_of(store, dataset_id)
     metadata, unsaid = bird_metadata(store, dataset_id, said)
     text, left_out = bird_json(dataset, metadata)

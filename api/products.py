@@ -18,8 +18,8 @@ from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
 from analysis.results import SampleAnalysis
 from api.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
+from api.fitting import run_facts
 from api.outcome import STATED
-from api.service import run_facts
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import last_file
 from goniometer.errors import InputError
@@ -210,7 +210,7 @@ def write_dataset_report(store: Store, dataset_id: int, path: Path) -> Export:
     It shows the models of a scan's end and every other one that the dataset was ever fitted with, all of them with the
     metal, distribution, weight and engine of the last fit.
     """
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     facts = NO_RUN if scan_id is None else run_facts(store, store.scan(scan_id))
     analysis = _analysed(store, dataset_id, _models_of(store, dataset_id))
     return write_analysis_report(path, analysis, facts)

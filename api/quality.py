@@ -52,7 +52,7 @@ def quality(store: Store, dataset_id: int) -> dict[str, Any]:
 
 def quality_of(store: Store, dataset_id: int, dataset: Dataset) -> dict[str, Any]:
     """The same of a dataset that was read already."""
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     return {
         "dataset": dataset_id,
         "sample": dataset.sample,

@@ -9,16 +9,16 @@ from api import queue
 from api.display import duration
 from api.live import Live
 from api.preview import preview
-from api.service import ACTIVE_PHASES
 from api.state import BenchState, Prompt, Running, Span
 from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.duration import DEAD_TIME
 from goniometer.plan_spec import ORDINARY
-from goniometer.records import Expected, Kind, Outcome, Scan
+from goniometer.records import ACTIVE_PHASES, Expected, Kind, Outcome, Scan
 from goniometer.route import Motion
 
-EntryPhase = Literal["idle", "queued", "running", "pausing", "paused", "aborting", "finished"]
+EntryPhase = Literal["idle", "queued", "running", "pausing", "paused", "aborting", "fitting", "finished"]
+"""As in the database, and what the scan that is measured does; "fitting": all is measured, and the bench is free."""
 
 
 class EntryScan(BaseModel):
@@ -76,7 +76,7 @@ def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:
         position=entry.position,
         campaign=entry.name,
         campaign_id=entry.campaign_id,
-        phase=_phase(entry, active),
+        phase=_phase(entry, scans, active),
         outcome=entry.outcome,
         reason=entry.reason or ("" if active is None else active.reason),
         who=entry.who,
@@ -104,9 +104,10 @@ def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:
     )
 
 
-def _phase(entry: queue.Entry, active: Scan | None) -> EntryPhase:
+def _phase(entry: queue.Entry, scans: list[Scan], active: Scan | None) -> EntryPhase:
     if active is None:
-        return entry.phase
+        measured = bool(scans) and all(scan.outcome == "completed" for scan in scans)
+        return "fitting" if entry.phase == "running" and measured else entry.phase
     match active.phase:
         case "pausing" | "paused" | "aborting":
             return active.phase

@@ -4,6 +4,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
+from contextlib import AsyncExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,19 +13,22 @@ from api import queue
 from api.bench import OperatedBench
 from api.derive import slug
 from api.errors import Conflict
+from api.fitting import Fits, fitting
 from api.mount_request import mount_request
 from api.preflight import preflight
-from api.service import Watch, mounting, run_alone
+from api.service import measure, mounting
 from api.settings import InstrumentSettings
 from api.state import Prompt, Running, Span, Told
 from drivers.errors import DriverError
-from goniometer.errors import CampaignError, GoniometerError, RunAborted
+from goniometer.errors import CampaignError, GoniometerError, RunAborted, StoreError
 from goniometer.progress import Progress
-from goniometer.records import Scan, now
+from goniometer.records import Outcome, Scan, now
 from goniometer.store import Store
 
 REPORT_EVERY = 0.1
 """Seconds between two reports of progress; a simulated bench would make more of them than anybody reads."""
+PATIENCE_WITH_DISK = 5.0
+"""Seconds until a database that refused is tried again."""
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +64,8 @@ class Runner:
         """What is run; None for nothing."""
         self.prompt: Prompt | None = None
         """What somebody must mount before it goes on."""
+        self.fitting: dict[int, asyncio.Task[None]] = {}
+        """Entries that are measured, and whose fits are made now."""
         self.leaving = False
         """Whether the bench is let go of, so that what is stopped has not ended but goes on another time."""
         self._store = store
@@ -77,7 +83,6 @@ class Runner:
         self.tell_queue()
         campaign = entry.campaign
         folder = self._task.output / slug(campaign.name)
-        watch = Watch(self._report, self._note)
         try:
             refused = preflight(self._store, campaign, self._bench.settings)
             if refused:
@@ -91,22 +96,52 @@ class Runner:
                 self._note_campaign(entry)
                 await mount(scan)
 
-            bench = self._bench.instrument, begin
-            settings, cluster = self._bench.settings, self._task.cluster
-            work = run_alone(self._store, campaign, folder, settings, watch, bench=bench, cluster=cluster)
-            result = await self._bench.run(f'Measuring the campaign "{campaign.name}".', work)
+            bench = nullcontext((self._bench.instrument, begin))
+            async with AsyncExitStack() as held:
+                fits = await held.enter_async_context(fitting(self._store, folder, self._task.cluster))
+                work = measure(self._store, campaign, fits, self._bench.settings, bench, self._report)
+                await self._bench.run(f'Measuring the campaign "{campaign.name}".', work)
+                self.fitting[entry.id] = asyncio.ensure_future(self._fit(entry, fits, held.pop_all()))
+                await asyncio.sleep(0)  # what is cancelled before it has begun would let go of nothing
         except (RunAborted, Conflict) as error:
             if not self.leaving:
                 queue.finish_entry(self._store, entry.id, "aborted", str(error))
         except (GoniometerError, AnalysisError, DriverError, OSError) as error:
             log.error("%s: %s", campaign.name, error)
             queue.finish_entry(self._store, entry.id, "failed", str(error))
-        else:
-            queue.finish_entry(self._store, entry.id, "completed", " ".join(result.failures))
         finally:
             self.entry = self._progress = None
             self._changed()
             self.tell_queue()
+
+    async def _fit(self, entry: queue.Entry, fits: Fits, held: AsyncExitStack) -> None:
+        """Wait for the fits of an entry that is measured, and put down how it ended; the bench is free meanwhile."""
+        try:
+            outcome: Outcome
+            try:
+                async with held:
+                    await fits.kept(self._note)
+                outcome, reason = "failed" if fits.broken else "completed", " ".join(fits.failures)
+            except (GoniometerError, OSError) as error:
+                log.error("%s: %s", entry.name, error)
+                outcome, reason = "failed", str(error)
+            while True:
+                try:
+                    queue.finish_entry(self._store, entry.id, outcome, reason)
+                    return
+                except StoreError as error:
+                    log.error("%s", error)
+                    await asyncio.sleep(PATIENCE_WITH_DISK)
+        finally:
+            del self.fitting[entry.id]
+            self.tell_queue()
+
+    async def leave(self) -> None:
+        """Let go of all fits; they are made when their entries are started again."""
+        for each in (waiting := list(self.fitting.values())):
+            each.cancel()
+        if waiting:
+            await asyncio.wait(waiting)
 
     async def _connect(self, seed: int) -> None:
         """Have the bench ready; a simulated one is made anew, so that its noise is that of the campaign."""
@@ -154,8 +189,6 @@ class Runner:
         self._say(Told("queue", {} if self.entry is None else {"entry": self.entry.id}))
 
     def _note(self, sentence: str) -> None:
-        self._bench.doing = f"{sentence}."
-        self._changed()
         self._say(Told("log", {"level": "info", "message": sentence, "moment": now()}))
 
     async def _ask(self, scan: Scan) -> None:

@@ -3,50 +3,38 @@
 The command line is a thin face over these functions.
 """
 
-import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, nullcontext, suppress
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from dataclasses import dataclass
 from pathlib import Path
 
 from usb.backend import IBackend
 
-from analysis.errors import AnalysisError
-from analysis.report import RunFacts
-from api.datasets import make_dataset, too_noisy
-from api.derive import REPORT, Derived, Export, derive, slug, write_derived
-from api.errors import ClusterError
-from api.executor import processes
+from api.fitting import Fits, fitting
 from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
+from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.doctor import Bench, Finding, examine, release, visit
-from goniometer.errors import (
-    BenchUnfit,
-    CalibrationError,
-    CertificateError,
-    InputError,
-    NotInStore,
-    StoreFull,
-)
-from goniometer.geometry import BLOCKED_HALF_WIDTH
+from goniometer.errors import BenchUnfit, InputError, NotInStore
 from goniometer.instrument import Instrument
-from goniometer.lineage import lacks_dataset, own_datasets
-from goniometer.plan import plan_spec, uniform_grid_size
-from goniometer.records import Scan
+from goniometer.lineage import lacks_dataset
+from goniometer.records import ACTIVE_PHASES, Scan
 from goniometer.scheduler import Mount, Report, run_campaign
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
-
-ACTIVE_PHASES = {"running", "pausing", "paused", "aborting"}
-"""Phases of a scan that some process is running, or was when it was killed."""
 
 SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
 
@@ -223,14 +211,19 @@ def mounting(ask: Mount, laboratory: Laboratory | None, *, asks: bool = True) ->
 
 
 async def diagnose(
-    settings: InstrumentSettings | None, *, home: bool = False, families: tuple[str, str] = STAGES
+    settings: InstrumentSettings | None,
+    *,
+    home: bool = False,
+    families: tuple[str, str] = STAGES,
+    tell: Callable[[float, str], None] = lambda *_: None,
 ) -> list[Finding]:
     """Open and examine each device of the configured bench, or of the simulated one, and close them all.
 
-    Stages that do not know their reference are moved only if `home`.
+    Stages that do not know their reference are moved only if `home`; `tell` is told which part is done, 0 to 1, and
+    what is done next.
     """
     with _site(settings, 0, families) as site:
-        return await visit(site.bench, home=home, absent=site.unplugged())
+        return await visit(site.bench, home=home, absent=site.unplugged(), tell=tell)
 
 
 @dataclass(frozen=True)
@@ -262,127 +255,46 @@ async def run(
     fitted does not stop the others. Raises `StoreBusy`, and what `api.cluster.connected` and `run_campaign` raise.
     """
     with store.exclusive():
-        return await run_alone(
-            store, campaign, output, settings, watch, bench=bench, lamp_is_warm=lamp_is_warm, cluster=cluster
-        )
-
-
-async def run_alone(
-    store: Store,
-    campaign: Campaign,
-    output: Path,
-    settings: InstrumentSettings | None = None,
-    watch: Watch = QUIET,
-    *,
-    bench: OpenBench | None = None,
-    lamp_is_warm: bool = False,
-    cluster: str | None = None,
-) -> RunResult:
-    """As `run`, for who holds `store.exclusive()`."""
-    certificate = panel_certificate(campaign, settings)
-    check_all(store, campaign, certificate, settings)
-    if settings is None:
-        campaign = with_materials(campaign)
-    # what has not been fitted and written when something goes wrong is made in the next run
-    with ThreadPoolExecutor(1) as writer, ExitStack() as held:
-        executor = await asyncio.to_thread(held.enter_context, processes(cluster, 1))
-        waiting: dict[int, Future[tuple[Derived, tuple[Export, ...]]]] = {}
-        failures: list[str] = []
-
-        def start(dataset_id: int, scan: Scan) -> None:
-            fitting = executor.submit(derive, store.dataset(dataset_id), run_facts(store, scan))
-            folder = (output / slug(scan.name)).resolve()
-            waiting[dataset_id] = writer.submit(_written, fitting, folder)
-
-        def finished(scan: Scan) -> None:
-            try:
-                made = make_dataset(store, scan.id)
-            except (CalibrationError, CertificateError) as error:
-                failures.append(f"{scan.name}: {error}")
-                return
-            start(made, scan)
-
-        # a campaign that has begun must not have changed since; a new one is written once the bench answers
-        known = campaign.name in store.campaigns().values()
-        campaign_id = store.add_campaign(campaign, certificate) if known else None
-        if campaign_id is None or any(scan.outcome != "completed" for scan in store.scans(campaign_id)):
+        async with fitting(store, output, cluster) as fits:
             opened = (
                 nullcontext(bench)
                 if bench is not None
                 else open_bench(settings, campaign.seed, watch.mount, lamp_is_warm=lamp_is_warm)
             )
-            async with opened as (instrument, mount):
-                campaign_id = await run_campaign(
-                    store, campaign, instrument, mount, watch.report, finished, certificate
-                )
-        else:
-            for scan in store.scans(campaign_id):
-                if lacks_dataset(store, scan):
-                    finished(scan)
-        for scan in store.scans(campaign_id):
-            missing = _underived_dataset(store, scan, output)
-            if missing is not None and missing not in waiting:
-                start(missing, scan)
-        for dataset_id, future in waiting.items():
-            measured = store.dataset(dataset_id).sample
-            if not future.done():
-                watch.note(f"Fitting {measured}")
-            try:
-                keep(store, dataset_id, *await asyncio.wrap_future(future))
-            except (AnalysisError, StoreFull, ClusterError) as error:
-                failures.append(f"{measured}: {error}")
-            except BrokenProcessPool:
-                failures.append(f"{measured}: the process that fits it was ended from outside; run the campaign again.")
-    return RunResult(campaign_id, tuple(failures))
+            campaign_id = await measure(store, campaign, fits, settings, opened, watch.report)
+            await fits.kept(watch.note)
+    return RunResult(campaign_id, tuple(fits.failures))
 
 
-def _underived_dataset(store: Store, scan: Scan, output: Path) -> int | None:
-    """The newest dataset of a scan if its fits, or one of the files that belong to it in `output`, are missing.
+async def measure(
+    store: Store,
+    campaign: Campaign,
+    fits: Fits,
+    settings: InstrumentSettings | None,
+    bench: AbstractAsyncContextManager[OpenBench],
+    report: Report,
+) -> int:
+    """Measure what is not measured yet of `campaign`, and start all fits that it lacks; returns its id.
 
-    Those that somebody made anew from another one do not count: the files are those of the campaign.
+    For who holds `store.exclusive()`. The `bench` is opened only where something is to be measured. Raises what
+    `run_campaign` raises.
     """
-    dataset_id = max(own_datasets(store, scan.id), default=None)
-    if dataset_id is None:
-        return None
-    folder = (output / slug(scan.name)).resolve()
-    files = [Path(export.text) for export in store.exports(dataset_id) if Path(export.text).parent == folder]
-    fitted = any(fit.kind == "analysis" for fit in store.fits(dataset_id))
-    # the report is written last
-    whole = fitted and folder / REPORT in files and all(file.exists() for file in files)
-    return None if whole else dataset_id
-
-
-def _written(fitting: "Future[Derived]", folder: Path) -> tuple[Derived, tuple[Export, ...]]:
-    """What comes of a fit, once it is there, and its files in `folder`."""
-    derived = fitting.result()
-    return derived, write_derived(derived, folder)
-
-
-def keep(store: Store, dataset_id: int, derived: Derived, exports: tuple[Export, ...]) -> None:
-    """Write fits and exports into the database; the report comes last and marks the set as complete."""
-    for model, text in derived.fits.items():
-        store.add_fit(dataset_id, model, text)
-    for export in exports:
-        store.add_export(dataset_id, export.path, export.file_format, export.sha256)
-
-
-def run_facts(store: Store, scan: Scan) -> RunFacts:
-    """What a report says about the run of a scan."""
-    campaign = store.campaign(scan.campaign_id)
-    spec = plan_spec(campaign)
-    points = store.points(scan.id)
-    blocked = sum(
-        sum(abs(t + out) < BLOCKED_HALF_WIDTH for out in range(round(spec.lowest), round(spec.highest) + 1))
-        for t in spec.theta_in
-    )
-    return RunFacts(
-        uniform_points=uniform_grid_size(spec),
-        bench_time=sum(point.seconds for point in points),
-        blocked_points=blocked,
-        failed_points=sum(point.status == "failed" for point in points),
-        too_noisy=too_noisy(store, scan),
-        files=(),
-    )
+    certificate = panel_certificate(campaign, settings)
+    check_all(store, campaign, certificate, settings)
+    if settings is None:
+        campaign = with_materials(campaign)
+    # a campaign that has begun must not have changed since; a new one is written once the bench answers
+    known = campaign.name in store.campaigns().values()
+    campaign_id = store.add_campaign(campaign, certificate) if known else None
+    if campaign_id is None or any(scan.outcome != "completed" for scan in store.scans(campaign_id)):
+        async with bench as (instrument, mount):
+            campaign_id = await run_campaign(store, campaign, instrument, mount, report, fits.begin, certificate)
+    else:
+        for scan in store.scans(campaign_id):
+            if lacks_dataset(store, scan):
+                fits.begin(scan)
+    fits.catch_up(campaign_id)
+    return campaign_id
 
 
 def active_scan(store: Store, bench: str | None = None) -> Scan:
@@ -390,13 +302,11 @@ def active_scan(store: Store, bench: str | None = None) -> Scan:
 
     Raises `NotInStore` where nothing runs, and `InputError` where several do and no bench is named.
     """
-    benches = store.benches()
-    in_use = {each for each in set(benches.values()) if bench in {None, each} and store.in_use(each)}
-    active = {
-        benches[scan.campaign_id]: scan
-        for scan in store.scans()
-        if scan.phase in ACTIVE_PHASES and benches[scan.campaign_id] in in_use
+    found = {
+        look_up.campaign_row(store, scan.campaign_id).bench: scan
+        for scan in look_up.scans_in_phases(store, ACTIVE_PHASES)
     }
+    active = {each: scan for each, scan in found.items() if bench in {None, each} and store.in_use(each)}
     if not active:
         raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
     if len(active) > 1:

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import AsJson, emit
 from api.logged import Logged
 from api.simulations import Page, store_computed, write_page
+from api.terminal import Terminal
 from simulators.choices import Spread
 
 SMALLEST_UM, LARGEST_UM = 0.2, 30.0
@@ -48,7 +48,7 @@ def grating_command(
     if as_json:
         emit(content(found, incident, smallest_period, largest_period, even_in, dataset, written))
         return
-    out = Console()
+    out = Terminal()
     out.print(table(found))
     for line in told(found, incident, smallest_period, largest_period):
         out.print(line, markup=False, highlight=False)

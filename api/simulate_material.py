@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.logged import Logged
+from api.terminal import Terminal
 from goniometer.errors import InputError
 from goniometer.material_file import MaterialFile
 
@@ -44,7 +44,7 @@ def material_command(
     if as_json:
         emit({"dataset": dataset_id, "path": str(export.path), "sha256": export.sha256, **_content(made)})
         return
-    out = Console()
+    out = Terminal()
     for line in _lines(made, export.path):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from api.arguments import AsJson, emit
 from api.simulations import Micro, Pitch, Seed, Size, SurfaceName
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from goniometer.errors import InputError
 
 CAMERA_ANGLE, MAGNIFICATION = 45.0, 1.0
@@ -90,7 +89,7 @@ def photos_command(
             }
         )
         return
-    out = Console()
+    out = Terminal()
     for line in (
         f"Wrote {len(ANGLES)} photographs and the panel's to {output}; look at them with: goniometer photos {path}",
         check.message,

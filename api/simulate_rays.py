@@ -9,13 +9,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.logged import Logged
 from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def rays_command(
             }
         )
         return
-    out = Console()
+    out = Terminal()
     for line in lines(scan, changes):
         out.print(line, markup=False, highlight=False)
     out.print(f"{name} (rays): dataset {dataset} in {shown_place(database)}", markup=False, highlight=False)

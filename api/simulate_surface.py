@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from api.arguments import AsJson, emit
 from api.simulations import Micro, Page, Pitch, Seed, Size, write_page
+from api.terminal import Terminal
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def surface_command(
     if as_json:
         emit({"surfaces": [_content(one) for one in found], "written": [str(path) for path in written]})
         return
-    out = Console()
+    out = Terminal()
     for one in found:
         out.print(_table(one))
         for line in [*how_made(one.surface), remark(one)]:

@@ -7,13 +7,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.logged import Logged
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
-from api.terminal import screen
+from api.terminal import Terminal, screen
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
 from simulators.choices import FEWEST, SIDE_UM, STEP_UM, Kernel
@@ -132,7 +131,7 @@ def waves_command(
     if as_json:
         emit(_content(dataset_id, database, found, setup) | {"page": None if written is None else str(written)})
         return
-    out = Console()
+    out = Terminal()
     for line in _lines(dataset_id, found):
         out.print(line, markup=False, highlight=False)
     if written is not None:

@@ -11,6 +11,7 @@ from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
+from rich.text import Text
 
 from api.mount_request import mount_request
 from goniometer.errors import RunAborted
@@ -19,7 +20,19 @@ if TYPE_CHECKING:
     from goniometer.records import Scan
 
 Result = TypeVar("Result")
-screen = Console(stderr=True)
+
+
+class Terminal(Console):
+    """What is printed on a terminal, which nothing that comes from a file or another person can command."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        """A text as it is shown, also that of a cell of a table."""
+        from goniometer.wording import inert
+
+        return super().render_str(inert(text), **how)
+
+
+screen = Terminal(stderr=True)
 """For progress and messages; results go to stdout."""
 
 

@@ -13,8 +13,8 @@ from sqlalchemy.pool import NullPool
 from goniometer import tables
 from goniometer.database import Database
 from goniometer.errors import NotInStore, RawDamaged, StoreBusy, StoreError
-from goniometer.integrity import damage
-from goniometer.records import exposure_hash
+from goniometer.integrity import damage, kept_inside
+from goniometer.records import HASHED, exposure_hash
 
 _PATIENCE = 10.0
 """Seconds that others may keep the database locked."""
@@ -48,12 +48,16 @@ def restore(backup: Path, where: Path | str, *, replace: bool) -> Path | None:
     with place.faults(), place.exclusive(everywhere=True), _copied(backup, file, str(backup)) as part:
         kept = None
         if there:
-            moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-            kept = file.with_name(f"{file.name}.replaced-{moment}")
+            kept = beside(file, "replaced")
             _settle(file, kept)
             os.link(file, kept)
         os.rename(part, file)
         return kept
+
+
+def beside(file: Path, what: str) -> Path:
+    """A name for a copy of `file` in its folder that no other copy has, however soon the next one is made."""
+    return file.with_name(f"{file.name}.{what}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%S.%fZ')}")
 
 
 def _file_of(database: Database) -> Path:
@@ -78,9 +82,9 @@ def _copied(source: Path, target: Path, called: str) -> Iterator[Path]:
         except sqlite3.DatabaseError as error:
             raise StoreError(f"{called} cannot be copied, for it is not whole: {error}") from error
         _verify(part, called)
-        _flush(part)
+        flush(part)
         yield part
-        _flush(target.parent)
+        flush(target.parent)
     finally:
         part.unlink(missing_ok=True)
 
@@ -108,7 +112,11 @@ def _verify(part: Path, called: str) -> None:
             raise StoreError(f"{called} cannot be copied, for it is not whole: {fault[0].lower()}{fault[1:]}")
         tables.check_ours(connection, called)
         if "sha256" in {column["name"] for column in inspect(connection).get_columns("exposures")}:
-            for row in connection.execute(select(tables.exposures).execution_options(yield_per=500)):
+            # an older version has not every column of today's
+            query = select(*(tables.exposures.c[name] for name in ("id", "sha256", "counts", *HASHED)))
+            if inspect(connection).has_table(tables.archives.name):
+                query = query.where(kept_inside())
+            for row in connection.execute(query.execution_options(yield_per=500)):
                 if exposure_hash(row._mapping) != row.sha256:
                     raise RawDamaged(row.id)
 
@@ -134,7 +142,7 @@ def _settle(file: Path, kept: Path) -> None:
         file.with_name(file.name + "-shm").unlink(missing_ok=True)
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
     """Return when a file, or the names in a folder, are on the disk."""
     number = os.open(path, os.O_RDONLY)
     try:

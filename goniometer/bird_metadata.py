@@ -57,7 +57,7 @@ def read_about(path: Path) -> dict[str, Any]:
 def bird_metadata(store: Store, dataset_id: int, said: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """The metadata of a dataset, and sentences about what was not stated; `said` is what `read_about` gives."""
     dataset = store.dataset(dataset_id)
-    scan_id = store.datasets()[dataset_id]
+    scan_id = store.scan_of(dataset_id)
     scan = None if scan_id is None else store.scan(scan_id)
     moment = store.dataset_created(dataset_id) if scan is None or scan.started is None else scan.started
     digest = base64.urlsafe_b64encode(bytes.fromhex(dataset.content_hash)).decode().rstrip("=")

@@ -14,6 +14,7 @@ from collections import Counter
 from typing import Annotated, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -30,9 +31,12 @@ from goniometer.geometry import LARGEST_ANGLE, Geometry
 from goniometer.material_file import material_file
 from goniometer.quantities import Angle, Duration, Length
 from goniometer.scene_weights import SceneWeights
+from goniometer.wording import check_name
 
 Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 """Text that says something."""
+Name = Annotated[str, AfterValidator(check_name)]
+"""How people call something."""
 
 SMALLEST_STEP = 0.05
 """Degrees below which directions cannot be told apart, and a campaign would have no end."""
@@ -45,7 +49,7 @@ class _Model(BaseModel):
 class Sample(_Model):
     """One thing to be measured."""
 
-    name: str = Field(min_length=1, description="How people call it; must differ between the samples of a campaign.")
+    name: Name = Field(min_length=1, description="How people call it; must differ between the samples of a campaign.")
     material: str = Field(
         min_length=1,
         description='What lies on the bench, e.g. "sample-1", or "file:NAME.npz" relative to the campaign file; only a '
@@ -252,7 +256,7 @@ class Reference(_Model):
 class Campaign(_Model):
     """A series of scans with one instrument: the reference panel first, then each sample."""
 
-    name: str = Field(min_length=1, description="Name of the campaign; a database holds one campaign of a name.")
+    name: Name = Field(min_length=1, description="Name of the campaign; a database holds one campaign of a name.")
     seed: int = Field(default=0, ge=0, description="Seed of the simulated bench; a real bench has no use for it.")
     samples: tuple[Sample, ...] = Field(min_length=1, description="What to measure, in this order.")
     rounds: int = Field(default=1, ge=1, le=1000, description="How often the whole series of samples is measured.")

@@ -1,11 +1,11 @@
 """Which datasets there are in the database, told without reading their numbers."""
 
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
-from sqlalchemy import Row, ScalarSelect, Select, func, or_, select
+from sqlalchemy import CompoundSelect, Row, ScalarSelect, Select, func, select
 
 from goniometer import tables
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
@@ -103,14 +103,15 @@ class Catalogue(Database):
         """At most `limit` datasets that are `wanted`, from the one behind the dataset `after` on."""
         here, query = tables.datasets.c, _entries()
         if wanted.sample is not None:
-            names = func.lower(here.sample), func.lower(tables.scans.c.sample)
-            query = query.where(or_(*(name == wanted.sample.lower() for name in names)))
+            query = query.where(here.id.in_(_called(wanted.sample)))
         if wanted.campaign_id is not None:
             query = query.where(tables.scans.c.campaign_id == wanted.campaign_id)
         if wanted.kind is not None:
             query = query.where(here.kind == wanted.kind)
         if wanted.flag is not None:
-            query = query.where(here.flags.bitwise_and(int(wanted.flag)) != 0)
+            # of the index alone, for few rows have a rare flag
+            having = select(here.id).where(here.flags.bitwise_and(int(wanted.flag)) != 0)
+            query = query.where(here.id.in_(having))
         if wanted.since is not None:
             query = query.where(here.created >= wanted.since)
         if wanted.until is not None:
@@ -124,23 +125,66 @@ class Catalogue(Database):
             query = query.where(here.id < after if newest else here.id > after)
         return [_entry(row) for row in self.rows(query.order_by(here.id.desc() if newest else here.id).limit(limit))]
 
+    def called(self, name: str) -> list[int]:
+        """Ids of the datasets of a sample, oldest first, by its name as `Wanted` takes it."""
+        here = tables.datasets.c
+        return [row.id for row in self.rows(select(here.id).where(here.id.in_(_called(name))).order_by(here.id))]
+
+    def scan_of(self, dataset_id: int) -> int | None:
+        """Id of the scan that a dataset was made of, None of an import or a simulation; raises `NotInStore`."""
+        query = select(tables.datasets.c.scan_id).where(tables.datasets.c.id == dataset_id)
+        scan_id: int | None = self.row(query, f"dataset {dataset_id}").scan_id
+        return scan_id
+
     def recalibrations(self, dataset_id: int) -> list[int]:
         """Ids of the datasets that were made anew from this one, oldest first."""
         here = tables.datasets.c
         query = select(here.id).where(here.recalibrated_from == dataset_id).order_by(here.id)
         return [row.id for row in self.rows(query)]
 
-    def dataset_counts(self) -> dict[str, int]:
-        """How many datasets there are by the name of their sample, without the number of a repeat."""
-        name = func.coalesce(tables.scans.c.sample, tables.datasets.c.sample)
-        query = select(name.label("sample")).select_from(tables.datasets.outerjoin(tables.scans))
-        return Counter(row.sample for row in self.rows(query))
+    def has_dataset(self, dataset_id: int) -> bool:
+        """Whether there is a dataset of this id."""
+        here = tables.datasets.c
+        return bool(self.rows(select(here.id).where(here.id == dataset_id)))
+
+    def newest_dataset(self) -> int:
+        """Id of the newest dataset; 0 where there is none."""
+        return self.rows(select(func.max(tables.datasets.c.id).label("newest")))[0].newest or 0
+
+    def datasets_after(self, dataset_id: int) -> list[int]:
+        """Ids of the datasets above `dataset_id`, oldest first."""
+        here = tables.datasets.c
+        return [row.id for row in self.rows(select(here.id).where(here.id > dataset_id).order_by(here.id))]
 
     def samples(self) -> list[str]:
         """Names of all samples that have a dataset or were asked for in a campaign, in alphabetical order."""
         alone = select(tables.datasets.c.sample).where(tables.datasets.c.scan_id.is_(None))
         measured = select(tables.scans.c.sample).where(tables.scans.c.kind == "sample")
-        return sorted({row.sample for query in (alone, measured) for row in self.rows(query)})
+        return sorted({row.sample for query in (alone, measured) for row in self.rows(query.distinct())})
+
+    def of_samples(self, names: Sequence[str]) -> dict[str, tuple[int, Entry]]:
+        """How many datasets these samples have, and the newest of each, by their names without number of a repeat.
+
+        Samples without any are left out.
+        """
+        here, scans = tables.datasets.c, tables.scans.c
+        alone = select(here.sample.label("name"), here.id).where(here.scan_id.is_(None), here.sample.in_(names))
+        measured = select(scans.sample.label("name"), here.id).join(tables.scans)
+        measured = measured.where(scans.kind == "sample", scans.sample.in_(names))
+        all_of_them = alone.union_all(measured).subquery()
+        query = select(all_of_them.c.name, func.count().label("datasets"), func.max(all_of_them.c.id).label("newest"))
+        counted = {row.newest: row for row in self.rows(query.group_by(all_of_them.c.name))}
+        found = [_entry(row) for row in self.rows(_entries().where(here.id.in_(counted)))]
+        return {counted[entry.id].name: (int(counted[entry.id].datasets), entry) for entry in found}
+
+
+def _called(name: str) -> CompoundSelect[Any]:
+    """Ids of the datasets of a sample, by its name with or without the number of the repeat."""
+    # two questions, for SQLite uses no index where names of two tables are joined by "or"
+    here, scans = tables.datasets.c, tables.scans.c
+    wanted = func.lower(name)
+    own = select(here.id).where(func.lower(here.sample) == wanted)
+    return own.union(select(here.id).join(tables.scans).where(func.lower(scans.sample) == wanted))
 
 
 def _entries() -> Select[Any]:

@@ -25,6 +25,19 @@ _WRITE, _RUN = postgresql.key("write"), postgresql.key("run")
 """Locks of a PostgreSQL database; every run shares the second one, and has one of its bench for itself."""
 _BENCH_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,31}")
 
+_NO_ROOM = "cannot grow: there is no room left; make room and resume"
+_DAMAGED = "is damaged; bring back a backup with goniometer db restore"
+_REFUSALS: tuple[tuple[str, type[StoreError], str], ...] = (
+    ("full", StoreFull, _NO_ROOM),
+    ("not a database", StoreError, "is not a database; name a new file or one of this program"),
+    ("malformed", StoreError, _DAMAGED),
+    ("Could not decode", StoreError, _DAMAGED),
+    ("readonly", StoreError, "cannot be written by this account; give it the right to write the file and its folder"),
+    ("locked", StoreBusy, "is locked by another program; close what has it open, and run the command again"),
+    ("disk I/O", StoreError, "cannot be read or written: the disk refuses; see to the disk and its quota, and resume"),
+)
+"""What SQLite says, which error that is, and what is told of it."""
+
 CONNECTIONS = 40
 """To a file, that are kept open once they were needed."""
 
@@ -187,14 +200,15 @@ class Database:
             if self._postgresql and isinstance(error, DBAPIError):
                 raise postgresql.refusal(error, self.where) from error
             message = str(error.orig if isinstance(error, DBAPIError) else error)
-            if "full" in message:
-                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
-            if "not a database" in message:
-                raise StoreError(f"{self.where} is not a database; name a new file or one of this program") from error
+            for part, kind, words in _REFUSALS:
+                if part in message:
+                    raise kind(f"{self.where} {words}") from error
             raise StoreError(f"{self.where} cannot be used: {message}") from error
+        except UnicodeDecodeError as error:  # what tells of a damaged table may itself be no text
+            raise StoreError(f"{self.where} {_DAMAGED}") from error
         except OSError as error:
             if error.errno == errno.ENOSPC:
-                raise StoreFull(f"{self.where} cannot grow: there is no room left; make room and resume") from error
+                raise StoreFull(f"{self.where} {_NO_ROOM}") from error
             raise StoreError(f"{self.where} cannot be used: {error.strerror or error}") from error
 
     @contextmanager
@@ -314,7 +328,9 @@ def _url(where: Path | str) -> URL:
 def _configure_sqlite(connection: Any, _: object) -> None:
     """Keep what is committed through a power cut, let others read meanwhile, and check references."""
     cursor = connection.cursor()
-    for pragma in ("busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+    # the first matters before there is any table: the room that an archive leaves can be given back to the disk
+    settings = ("auto_vacuum=INCREMENTAL", "busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL")
+    for pragma in (*settings, "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 

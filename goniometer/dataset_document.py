@@ -19,6 +19,7 @@ from goniometer.dataset import MEANING, Check, Dataset
 from goniometer.derived import software_version
 from goniometer.errors import DataFileError
 from goniometer.uncertainty import PARTS, ErrorSource, Groups, everywhere
+from goniometer.wording import check_name, inert
 
 FORMAT = "goniometer dataset"
 VERSION = 1
@@ -61,7 +62,7 @@ FiniteFloat = Annotated[float, Field(allow_inf_nan=False, ge=0)]
 
 def _plain_name(name: str) -> str:
     """A name that can stand above a column of a table and in a line that is printed."""
-    if not name.isprintable() or re.search(r"[,;]\s*[=+@-]", name):
+    if inert(name) != name or re.search(r"[\n\t]|[,;]\s*[=+@-]", name):
         raise ValueError("a source of error has a name of letters, digits and spaces")
     return name
 
@@ -94,7 +95,7 @@ class Document(BaseModel):
 
     format: Literal["goniometer dataset"]
     format_version: Literal[1]
-    sample: str
+    sample: Annotated[str, AfterValidator(check_name)]
     content_hash: str
     history_hash: str
     aperture_deg: FiniteFloat

@@ -32,7 +32,7 @@ from goniometer.dataset_document import (
     document,
     parsed,
 )
-from goniometer.errors import DataFileError, InputError
+from goniometer.errors import DataFileError, OptionError
 from goniometer.plain_hdf5 import PlainHdf5, is_plain
 from goniometer.records import Exposure, constants_json
 from goniometer.store import Store
@@ -55,8 +55,9 @@ def raw_of(store: Store, dataset_id: int) -> Raw:
 
     Raises `InputError` for a dataset that was made of no raw data in this database.
     """
-    if store.datasets()[dataset_id] is None:
-        raise InputError(f"Dataset {dataset_id} was made of no raw data in this database; export it without --raw.")
+    if store.scan_of(dataset_id) is None:
+        told = f"Dataset {dataset_id} was made of no raw data in this database; export it without {{raw}}."
+        raise OptionError(told, "raw")
     lineage = store.lineage(dataset_id)
     between = lineage["scans_between"]
     assert isinstance(between, list)  # as calibration wrote it
@@ -98,7 +99,7 @@ def dataset_to_hdf5(dataset: Dataset, raw: Raw | None = None) -> bytes:
         _write_checks(_group(entry, "checks", "NXcollection"), dataset)
         for name, (constants, exposures) in (raw or {}).items():
             holder = entry["raw"] if "raw" in entry else _group(entry, "raw", "NXcollection")
-            _write_exposures(_group(holder, name, "NXcollection"), constants, exposures)
+            write_exposures(_group(holder, name, "NXcollection"), constants, exposures)
     return buffer.getvalue()
 
 
@@ -160,7 +161,7 @@ def _text() -> Any:
     return h5py.string_dtype()
 
 
-def _write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
+def write_exposures(group: "Group", constants: Constants, exposures: list[Exposure]) -> None:
     """Raw spectra of one scan in the order in which they were written; NaN where a dark has no direction."""
     group["constants"] = constants_json(constants)
     group["constants"].attrs["type"] = "application/json"

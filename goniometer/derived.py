@@ -19,7 +19,7 @@ from goniometer.dataset import Dataset
 from goniometer.records import Characterisation, StoredText, now, pack_dataset, to_dataset
 
 
-@cache  # it is looked for in files
+@cache  # the metadata of a package is a long text, and every answer about a dataset names the version
 def software_version() -> str:
     """Version of this program, as written beside everything derived."""
     return version("goniometer")
@@ -76,10 +76,13 @@ class Derived(Catalogue):
         lineage: dict[str, object] = json.loads(self.row(query, f"dataset {dataset_id}").lineage)
         return lineage
 
-    def dataset_samples(self) -> dict[int, str]:
-        """Name of the sample of every dataset by its id, oldest first."""
-        table = tables.datasets
-        return {row.id: row.sample for row in self.rows(select(table.c.id, table.c.sample).order_by(table.c.id))}
+    def without_scan(self, limit: int) -> tuple[dict[int, str], int]:
+        """The newest `limit` datasets that no scan of this database made, samples by id, and how many there are."""
+        here = tables.datasets.c
+        alone = here.scan_id.is_(None)
+        rows = self.rows(select(here.id, here.sample).where(alone).order_by(here.id.desc()).limit(limit))
+        count = self.rows(select(func.count().label("datasets")).select_from(tables.datasets).where(alone))[0].datasets
+        return {row.id: row.sample for row in reversed(rows)}, int(count)
 
     def dataset_created(self, dataset_id: int) -> str:
         """When a dataset was written, ISO 8601 in UTC; raises `NotInStore`."""

@@ -6,11 +6,13 @@ GoniometerError
 │   ├── ConfigurationError  an instrument file
 │   ├── GeometryError     an angle that the bench cannot take
 │   ├── DataFileError     a file of measured data
+│   ├── OptionError       something that must be said, or has no use; each face calls it by its own name
 │   └── CertificateError  a reference certificate
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
 │   ├── StoreFull         no room left on the disk
 │   ├── RawDamaged        a raw exposure is not as it was written
+│   ├── ArchiveMissing    a file of archived counts is not where it was written
 │   ├── StoreOutdated     its tables are those of an older version of this program
 │   └── NotInStore        what was asked for is not there (exit code 2)
 ├── ConditionsUnmet       what must hold before a scan did not in time
@@ -55,6 +57,24 @@ class DataFileError(InputError):
     """A file of data measured elsewhere that cannot be imported."""
 
 
+class OptionError(InputError):
+    """Something that must be said, or has no use.
+
+    `message` names it in braces, as "{dark_subtracted}", by the names of `fields`. As text, it names the options of the
+    command line, which `called` has where they are not called as the field; `by_field` is for who sends JSON.
+    """
+
+    def __init__(self, message: str, *fields: str, **called: str) -> None:
+        super().__init__(_named(message, {name: f"--{name.replace('_', '-')}" for name in fields} | called))
+        self.by_field = str(InputError(_named(message, {name: name for name in (*fields, *called)})))
+
+
+def _named(message: str, names: dict[str, str]) -> str:
+    for field, name in names.items():
+        message = message.replace(f"{{{field}}}", name)
+    return message
+
+
 class CertificateError(InputError):
     """A reference certificate that cannot be used."""
 
@@ -84,6 +104,17 @@ class RawDamaged(StoreError):
             f"restore it from a backup (goniometer db restore), and see with goniometer db check what else is wrong"
         )
         self.exposure_id = exposure_id
+
+
+class ArchiveMissing(StoreError):
+    """The file `path` with the counts of a scan is not where it was written, or is not that file."""
+
+    def __init__(self, scan_id: int, path: str, why: str) -> None:
+        super().__init__(
+            f"The raw counts of scan {scan_id} are archived in {path}, {why}; put the file back there, or say where it "
+            f"is now: goniometer db archive --scan {scan_id} --to FOLDER"
+        )
+        self.path = path
 
 
 class NotInStore(StoreError):

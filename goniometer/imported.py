@@ -16,7 +16,7 @@ from goniometer.angular import SAME_INCIDENCE, along_theta_out, incidence_groups
 from goniometer.checks import checks_of_imported, noise_flags
 from goniometer.dataset import Dataset
 from goniometer.derived import software_version
-from goniometer.errors import InputError
+from goniometer.errors import OptionError
 from goniometer.measured_table import MeasuredTable
 from goniometer.scatter import FEWEST_WAVELENGTHS, scatter
 from goniometer.uncertainty import ErrorSource, combined, everywhere
@@ -84,9 +84,10 @@ def _noise(table: MeasuredTable, stated: Stated) -> FloatArray:
         return np.where(valid, stated.relative_noise * np.abs(table.brdf), 0.0)
     found = scatter(table.wavelengths, table.brdf)
     if not (found[valid] > ROUNDING * np.abs(table.brdf[valid])).all():
-        raise InputError(
+        raise OptionError(
             f"The noise of the spectra cannot be seen in their scatter, which needs {FEWEST_WAVELENGTHS} wavelengths "
-            f"and values that are not rounded or computed; state it with --relative-noise."
+            f"and values that are not rounded or computed; state it with {{relative_noise}}.",
+            "relative_noise",
         )
     return np.where(valid, found, 0.0)
 

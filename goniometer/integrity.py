@@ -4,11 +4,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import ColumnElement, Connection, func, or_, select
 from sqlalchemy.exc import DatabaseError
 
 from goniometer import migrations, tables
+from goniometer.archive_file import Archive, read_counts
 from goniometer.database import Database
+from goniometer.errors import ArchiveMissing
 from goniometer.records import exposure_hash
 
 _READ_AT_ONCE = 500
@@ -44,7 +46,13 @@ def check(database: Database) -> Findings:
         if revision != migrations.head():
             told = f"Its tables are {revision or 'those of a version before revisions'}, not {migrations.head()}"
             return Findings(0, 0, [f"{told}; run: goniometer db upgrade {database.where}"], complete=False)
-        faults += [*_settings(connection), *_raw(connection), *_points(connection), *_origins(connection)]
+        faults += [
+            *_settings(connection),
+            *_raw(connection),
+            *_archives(connection),
+            *_points(connection),
+            *_origins(connection),
+        ]
         exposures, datasets = (
             connection.execute(select(func.count()).select_from(table)).scalar_one()
             for table in (tables.exposures, tables.datasets)
@@ -79,10 +87,33 @@ def _settings(connection: Connection) -> Iterator[str]:
 
 def _raw(connection: Connection) -> Iterator[str]:
     """Exposures that are not as they were written."""
-    query = select(tables.exposures).execution_options(yield_per=_READ_AT_ONCE)
-    for row in connection.execute(query):
+    query = select(tables.exposures).where(kept_inside())
+    for row in connection.execute(query.execution_options(yield_per=_READ_AT_ONCE)):
         if exposure_hash(row._mapping) != row.sha256:
             yield f"Exposure {row.id} is not as it was written"
+
+
+def kept_inside() -> ColumnElement[bool]:
+    """Whether the counts of an exposure should be in the database, and not in an archive."""
+    here = tables.exposures.c
+    return or_(func.length(here.counts) > 0, here.scan_id.not_in(select(tables.archives.c.scan_id)))
+
+
+def _archives(connection: Connection) -> Iterator[str]:
+    """Archives that are not there, and exposures in them that are not as they were written."""
+    here = tables.archives.c
+    columns = (here.scan_id, here.path, here.sha256, here.octets, here.exposures, here.created)
+    for found in connection.execute(select(*columns).order_by(here.scan_id)).all():
+        archive = Archive(**found._mapping)
+        try:
+            counts = read_counts(archive)
+        except ArchiveMissing as error:
+            yield str(error)
+            continue
+        query = select(tables.exposures).where(tables.exposures.c.scan_id == archive.scan_id, ~kept_inside())
+        for row in connection.execute(query):
+            if exposure_hash({**row._mapping, "counts": counts.get(row.id, b"")}) != row.sha256:
+                yield f"Exposure {row.id} is not as it was written, in {archive.path}"
 
 
 def _points(connection: Connection) -> Iterator[str]:

@@ -1,14 +1,16 @@
 """Single rows and parts of long lists of what was measured, for who looks at a database while it is written."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, bindparam, func, select
+from sqlalchemy import BindParameter, Select, and_, bindparam, case, exists, func, select
 
 from goniometer import tables
+from goniometer.archive_file import whole_exposures
 from goniometer.database import Database
-from goniometer.records import Exposure, Point, to_exposure, to_point
+from goniometer.records import Exposure, Phase, Point, Scan, to_point, to_scan
 
 # Built once, for pages ask all the time while a scan runs.
 _POINT = tables.points.c
@@ -56,6 +58,60 @@ class CampaignRow:
     """ISO 8601, UTC."""
     bench: str
     """Name of the bench on which it is measured."""
+
+
+@cache  # to build it takes longer than to ask it
+def scan_rows() -> Select[Any]:
+    """Rows of `tables.scans`, with which scan of its kind of its sample each is, null where there is one only.
+
+    Without the constants, whose 20 kB most scans are not asked for.
+    """
+    here, other = tables.scans.c, tables.scans.alias("other").c
+    alike = and_(other.campaign_id == here.campaign_id, other.kind == here.kind, other.sample == here.sample)
+    count = select(func.count()).where(alike).scalar_subquery()
+    place = select(func.count()).where(alike, other.number <= here.number).scalar_subquery()
+    columns = [column for column in here if column.name != "constants"]
+    return select(*columns, case((count > 1, place)).label("repeat"))
+
+
+@cache
+def listed_scans() -> tuple[Select[Any], Select[Any]]:
+    """All scans, and those of the campaign "campaign", in the order in which they are run."""
+    every = scan_rows().order_by(tables.scans.c.campaign_id, tables.scans.c.number)
+    return every, every.where(tables.scans.c.campaign_id == bindparam("campaign"))
+
+
+def scans_after(database: Database, scan_id: int, limit: int, campaign_id: int | None = None) -> list[Scan]:
+    """At most `limit` scans (of one campaign) with ids above `scan_id`, in the order of these."""
+    here = tables.scans.c
+    query = scan_rows().where(here.id > scan_id).order_by(here.id).limit(limit)
+    if campaign_id is not None:
+        query = query.where(here.campaign_id == campaign_id)
+    return [to_scan(row) for row in database.rows(query)]
+
+
+def begun_references(database: Database, limit: int, before: int | None = None) -> list[Scan]:
+    """At most `limit` scans of reference panels that have begun, newest first: those with ids below `before`."""
+    here = tables.scans.c
+    query = scan_rows().where(here.kind == "reference", here.started.is_not(None)).order_by(here.id.desc())
+    if before is not None:
+        query = query.where(here.id < before)
+    return [to_scan(row) for row in database.rows(query.limit(limit))]
+
+
+def scans_in_phases(database: Database, phases: Collection[Phase]) -> list[Scan]:
+    """Scans of all campaigns that are in one of these phases, in the order in which they are run."""
+    here = tables.scans.c
+    query = scan_rows().where(here.phase.in_(phases)).order_by(here.campaign_id, here.number)
+    return [to_scan(row) for row in database.rows(query)]
+
+
+def uncalibrated_scans(database: Database) -> list[Scan]:
+    """Completed scans of samples that have no dataset, in the order in which they were run."""
+    here = tables.scans.c
+    without = ~exists().where(tables.datasets.c.scan_id == here.id)
+    query = scan_rows().where(here.kind == "sample", here.outcome == "completed", without)
+    return [to_scan(row) for row in database.rows(query.order_by(here.campaign_id, here.number))]
 
 
 def campaign_rows(database: Database, after: int, limit: int) -> list[CampaignRow]:
@@ -132,4 +188,4 @@ def exposure(database: Database, exposure_id: int) -> tuple[int, Exposure]:
     """One exposure and the id of its scan; raises `NotInStore`."""
     query = select(tables.exposures).where(tables.exposures.c.id == exposure_id)
     row = database.row(query, f"exposure {exposure_id}")
-    return row.scan_id, to_exposure(row)
+    return row.scan_id, whole_exposures(database, [row])[0]

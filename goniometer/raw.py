@@ -1,7 +1,7 @@
 """All that was read from the devices in one scan, as calibration wants it."""
 
 import datetime
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -11,7 +11,7 @@ from drivers.arrays import CountArray
 from goniometer.angular import SAME_INCIDENCE
 from goniometer.constants import Constants
 from goniometer.geometry import Geometry
-from goniometer.records import Exposure
+from goniometer.records import EXPOSURE_KINDS, Exposure, ExposureKind
 from goniometer.store import Store
 from goniometer.uncertainty import Groups
 
@@ -107,17 +107,19 @@ def sample_visits(raw: RawScan) -> Groups:
     return visits
 
 
-def read_raw(store: Store, scan_id: int) -> RawScan:
-    """All measured points of a scan with everything that calibrates them; raises `NotInStore` before it has begun."""
+def read_raw(store: Store, scan_id: int, kinds: Collection[ExposureKind] = EXPOSURE_KINDS) -> RawScan:
+    """All measured points of a scan with everything that calibrates them; raises `NotInStore` before it has begun.
+
+    Of other `kinds` of exposures there is nothing in it.
+    """
     scan = store.scan(scan_id)
     points = [p for p in store.points(scan_id) if p.status == "done"]
     number = {p.id: i for i, p in enumerate(points)}
-    exposures = store.exposures(scan_id)
+    exposures = store.exposures(scan_id, kinds)
     begun = datetime.date.fromisoformat((scan.started or exposures[0].taken)[:10])
     campaign = store.campaign(scan.campaign_id)
     diameters = {sample.name: sample.diameter for sample in campaign.samples}
-    kinds = "light", "dark", "stray", "monitor", "sweep"
-    of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in kinds}
+    of_kind = {kind: [e for e in exposures if e.kind == kind] for kind in EXPOSURE_KINDS}
     # while a scan goes on, another point may have been finished since the points were read
     light = [e for e in of_kind["light"] if e.point_id in number]
     return RawScan(

@@ -26,7 +26,10 @@ Kind = Literal["reference", "sample", "spot"]
 """A spot is another place, or another azimuth, of the sample before it, measured at a few of its directions."""
 ExposureKind = Literal["light", "dark", "stray", "monitor", "sweep"]
 """A sweep is a reading of the detector while its arm moves."""
+EXPOSURE_KINDS: tuple[ExposureKind, ...] = ("light", "dark", "stray", "monitor", "sweep")
 Phase = Literal["idle", "running", "pausing", "paused", "aborting", "finished"]
+ACTIVE_PHASES: frozenset[Phase] = frozenset({"running", "pausing", "paused", "aborting"})
+"""Of a scan that some process is running, or was when it was killed."""
 Outcome = Literal["completed", "aborted", "failed"]
 Command = Literal["pause", "resume", "abort"]
 Status = Literal["pending", "running", "done", "failed", "skipped"]
@@ -199,11 +202,15 @@ def to_point(row: Row[Any]) -> Point:
     )
 
 
-def to_exposure(row: Row[Any]) -> Exposure:
-    """A row of `tables.exposures`; raises `RawDamaged` where it is not as it was written."""
-    if exposure_hash(row._mapping) != row.sha256:
+def to_exposure(row: Row[Any], archived: bytes | None = None) -> Exposure:
+    """A row of `tables.exposures`, with its counts from an archive where they are `archived`.
+
+    Raises `RawDamaged` where it is not as it was written.
+    """
+    kept = row.counts if archived is None else archived
+    if exposure_hash({**row._mapping, "counts": kept}) != row.sha256:
         raise RawDamaged(row.id)
-    counts = np.frombuffer(row.counts, dtype="<u4").astype(np.uint32)
+    counts = np.frombuffer(kept, dtype="<u4").astype(np.uint32)
     return Exposure(
         row.id,
         row.kind,
@@ -248,7 +255,7 @@ def exposure_row(
     return row | {"sha256": exposure_hash(row)}
 
 
-_HASHED = (
+HASHED = (
     "kind",
     "integration_time",
     "device_count",
@@ -260,6 +267,7 @@ _HASHED = (
     "moment",
     "taken",
 )
+"""Columns whose content is in the hash of an exposure, beside the counts."""
 
 
 def _as_kept(number: float) -> float:
@@ -271,7 +279,7 @@ def exposure_hash(row: Mapping[Any, Any]) -> str:
 
     Numbers of rows are not in it, for what was read does not depend on them.
     """
-    told = json.dumps([row[name] for name in _HASHED], separators=(",", ":"))
+    told = json.dumps([row[name] for name in HASHED], separators=(",", ":"))
     return hashlib.sha256(told.encode() + b"\n" + row["counts"]).hexdigest()
 
 

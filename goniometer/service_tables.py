@@ -148,5 +148,6 @@ queue = Table(
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("(phase = 'finished') = (outcome IS NOT NULL)"),
     Index("queue_of_phase", "phase"),
+    Index("queue_of_campaign", "campaign_id"),
     sqlite_autoincrement=True,  # the log names entries by their number
 )

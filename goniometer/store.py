@@ -6,15 +6,15 @@ written together or not at all.
 """
 
 import json
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from sqlalchemy import Select, Subquery, bindparam, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
-from goniometer import tables
+from goniometer import look_up, tables
+from goniometer.archive_file import whole_exposures
 from goniometer.campaign import Campaign, changed_content
 from goniometer.certificate_file import read_certificate
 from goniometer.constants import Constants
@@ -23,6 +23,8 @@ from goniometer.derived import Derived
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry, from_stages
 from goniometer.records import (
+    ACTIVE_PHASES,
+    EXPOSURE_KINDS,
     Command,
     Expected,
     Exposure,
@@ -36,7 +38,6 @@ from goniometer.records import (
     exposure_row,
     now,
     to_constants,
-    to_exposure,
     to_point,
     to_scan,
 )
@@ -46,24 +47,6 @@ _REMAINING = ("remaining", "remaining_low", "remaining_high")
 _STALE = "Its process ended before the scan did; run the campaign again to go on."
 _COMMAND = select(tables.scans.c.command).where(tables.scans.c.id == bindparam("scan"))
 """Built once, for a scan that runs asks many times a second."""
-
-
-@cache  # to build it takes longer than to ask it
-def _counted_scans() -> Subquery:
-    """`tables.scans` with one column more: which scan of its kind of its sample it is, null where there is one only."""
-    here = tables.scans.c
-    alike = (here.campaign_id, here.kind, here.sample)
-    place = func.row_number().over(partition_by=alike, order_by=here.number)
-    count = func.count().over(partition_by=alike)
-    return select(tables.scans, case((count > 1, place)).label("repeat")).subquery()
-
-
-@cache
-def _listed_scans() -> tuple[Select[Any], Select[Any]]:
-    """All scans, and those of the campaign "campaign", in the order in which they are run."""
-    counted = _counted_scans()
-    every = select(counted).order_by(counted.c.campaign_id, counted.c.number)
-    return every, every.where(counted.c.campaign_id == bindparam("campaign"))
 
 
 class Store(Derived):
@@ -156,7 +139,8 @@ class Store(Derived):
 
     def campaigns(self) -> dict[int, str]:
         """Name of every campaign by its id, oldest first."""
-        return {row.id: row.name for row in self.rows(select(tables.campaigns).order_by(tables.campaigns.c.id))}
+        here = tables.campaigns.c
+        return {row.id: row.name for row in self.rows(select(here.id, here.name).order_by(here.id))}
 
     def benches(self) -> dict[int, str]:
         """Name of the bench of every campaign by its id, oldest first."""
@@ -165,12 +149,11 @@ class Store(Derived):
 
     def scan(self, scan_id: int) -> Scan:
         """One scan; raises `NotInStore`."""
-        counted = _counted_scans()
-        return to_scan(self.row(select(counted).where(counted.c.id == scan_id), f"scan {scan_id}"))
+        return to_scan(self.row(look_up.scan_rows().where(tables.scans.c.id == scan_id), f"scan {scan_id}"))
 
     def scans(self, campaign_id: int | None = None) -> list[Scan]:
         """Scans of one campaign or of all, in the order in which they are run."""
-        every, of_one = _listed_scans()
+        every, of_one = look_up.listed_scans()
         rows = self.rows(every) if campaign_id is None else self.rows(of_one, {"campaign": campaign_id})
         return [to_scan(row) for row in rows]
 
@@ -209,9 +192,8 @@ class Store(Derived):
 
     def end_stale_scans(self) -> None:
         """Note that scans of this bench whose process was killed have ended; only for who holds `exclusive`."""
-        benches = self.benches()
-        for scan in self.scans():
-            if benches[scan.campaign_id] == self.bench and scan.phase not in {"idle", "finished"}:
+        for scan in look_up.scans_in_phases(self, ACTIVE_PHASES):
+            if look_up.campaign_row(self, scan.campaign_id).bench == self.bench:
                 self.finish_scan(scan.id, "aborted", _STALE)
 
     def request(self, scan_id: int, command: Command) -> None:
@@ -423,10 +405,11 @@ class Store(Derived):
                 ],
             )
 
-    def exposures(self, scan_id: int) -> list[Exposure]:
-        """All raw exposures of a scan, darks included, in the order in which they were written."""
-        query = select(tables.exposures).where(tables.exposures.c.scan_id == scan_id).order_by(tables.exposures.c.id)
-        return [to_exposure(row) for row in self.rows(query)]
+    def exposures(self, scan_id: int, kinds: Collection[ExposureKind] = EXPOSURE_KINDS) -> list[Exposure]:
+        """All raw exposures of a scan that are of these kinds, in the order in which they were written."""
+        here = tables.exposures.c
+        query = select(tables.exposures).where(here.scan_id == scan_id, here.kind.in_(kinds)).order_by(here.id)
+        return whole_exposures(self, self.rows(query))
 
     def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:
         """When, where and for how long all raw exposures of a scan were taken whose id is greater than `after`."""

@@ -4,8 +4,9 @@ campaigns 1-n scans 1-n points 1-n exposures; scans 1-n exposures without a poin
 sweeps), scans 1-n datasets 1-n fits and exports; imported and simulated datasets belong to no scan, and
 characterisations of a bench stand alone. A campaign is measured on one bench, whose name it has. What the service needs
 besides stands in `goniometer.service_tables`. Exposures and everything derived are only ever added: triggers refuse to
-change or delete them. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session of the bench
-that measured; those of two sessions cannot be compared.
+change or delete them. Only the counts of an exposure may move to a file that `archives` names, and back; meanwhile they
+are empty here, and their hash stays. Times are ISO 8601 texts in UTC; a moment is seconds on the clock of the session
+of the bench that measured; those of two sessions cannot be compared.
 """
 
 from sqlalchemy import (
@@ -24,6 +25,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    func,
     insert,
     inspect,
     select,
@@ -31,7 +33,7 @@ from sqlalchemy import (
 
 from goniometer import migrations
 from goniometer.errors import StoreError, StoreOutdated
-from goniometer.only_added import protect
+from goniometer.only_added import let_counts_move, protect
 from goniometer.postgresql import key, lock_transaction
 
 APPLICATION = "goniometer"
@@ -90,7 +92,10 @@ scans = Table(
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("command IN ('pause', 'resume', 'abort')"),
     UniqueConstraint("campaign_id", "number"),
+    Index("scans_by_kind", "kind", "sample"),
+    Index("scans_by_phase", "phase"),
 )
+Index("scans_called", func.lower(scans.c.sample))
 
 points = Table(
     "points",
@@ -138,6 +143,18 @@ exposures = Table(
     info=ONLY_ADDED,
 )
 
+archives = Table(
+    "archives",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("scan_id", ForeignKey("scans.id"), nullable=False, unique=True),
+    Column("path", String, nullable=False),
+    Column("sha256", String, nullable=False),
+    Column("octets", BigInteger, nullable=False),
+    Column("exposures", Integer, nullable=False),
+    Column("created", String, nullable=False),
+)
+
 datasets = Table(
     "datasets",
     metadata,
@@ -162,8 +179,14 @@ datasets = Table(
     # last, for SQLite reads a row from its front, and a list of datasets needs none of their numbers
     Column("arrays", LargeBinary, nullable=False),
     CheckConstraint("kind IN ('measured', 'simulated', 'imported')"),
+    Index("datasets_of_scan", "scan_id", "sample"),
+    Index("datasets_by_kind", "kind"),
+    Index("datasets_by_time", "created"),
+    Index("datasets_by_flags", "flags"),
+    Index("datasets_made_anew", "recalibrated_from"),
     info=ONLY_ADDED,
 )
+Index("datasets_called", func.lower(datasets.c.sample))
 
 fits = Table(
     "fits",
@@ -174,6 +197,7 @@ fits = Table(
     Column("json", Text, nullable=False),
     Column("software_version", String, nullable=False),
     Column("created", String, nullable=False),
+    Index("fits_of_dataset", "dataset_id"),
     info=ONLY_ADDED,
 )
 
@@ -186,6 +210,7 @@ exports = Table(
     Column("format", String, nullable=False),
     Column("sha256", String, nullable=False),
     Column("created", String, nullable=False),
+    Index("exports_of_dataset", "dataset_id"),
     info=ONLY_ADDED,
 )
 
@@ -252,6 +277,7 @@ def _create(connection: Connection) -> None:
     connection.execute(insert(about).values(application=APPLICATION, schema_version=OLD_VERSION))
     for table in protected():
         protect(connection, table.name)
+    let_counts_move(connection)
     migrations.stamp(connection)
 
 

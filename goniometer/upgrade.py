@@ -1,13 +1,12 @@
 """An older database becomes one of this version of the program."""
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 from sqlalchemy import Connection, inspect, text
 
 from goniometer import migrations, tables
-from goniometer.backup import back_up
+from goniometer.backup import back_up, beside
 from goniometer.database import Database
 from goniometer.errors import StoreError
 from goniometer.only_added import VERBS
@@ -43,8 +42,7 @@ def upgrade(where: Path | str) -> Upgraded:
         with database.exclusive(everywhere=True):
             backup = None
             if database.file is not None:
-                moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-                backup = database.file.with_name(f"{database.file.name}.before-{migrations.head()}-{moment}")
+                backup = beside(database.file, f"before-{migrations.head()}")
                 back_up(database, backup)
             with database.alone(references_checked=False) as connection:
                 steps = migrations.upgrade(connection)

@@ -1,11 +1,32 @@
 """What pydantic finds wrong with a file, in the words of the person who wrote it."""
 
 import difflib
+import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+
+LONGEST_NAME = 200
+"""Characters; with an ending it is still the name of a file."""
+
+
+def inert(text: str) -> str:
+    """A text in which stands as an escape what would command a terminal or turn the direction of writing.
+
+    >>> inert("50 µm\\x1b[2J")
+    '50 µm\\\\x1b[2J'
+    """
+    harmless = (c in "\n\t" or unicodedata.category(c) not in {"Cc", "Cf", "Cs"} for c in text)
+    return "".join(c if fine else ascii(c)[1:-1] for c, fine in zip(text, harmless, strict=True))
+
+
+def check_name(name: str) -> str:
+    """The name of something that people call so; raises `ValueError` for what no list, file or terminal can show."""
+    if len(name) > LONGEST_NAME or inert(name) != name or {"\n", "\t"} & set(name):
+        raise ValueError(f"a name is one line of at most {LONGEST_NAME} characters, and nothing but what is seen of it")
+    return name
 
 
 def key_path(parts: Sequence[int | str]) -> str:

@@ -4,8 +4,12 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from goniometer.store import Store
 
 # Tests run in several processes, one for each core: a pool of threads in each of them, for matrices as small as these,
 # would only wait for the others'. It must be said before NumPy is imported; commands that tests start inherit it.
@@ -37,3 +41,13 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path | 
 
     with fresh_database(request.getfixturevalue("postgresql")) as url:
         yield url
+
+
+@pytest.fixture
+def either(database: Path | str) -> Iterator["Store"]:
+    """The open `database`, of either kind."""
+    from goniometer.store import Store  # noqa: PLC0415
+
+    opened = Store.open(database)
+    yield opened
+    opened.close()

@@ -15,6 +15,7 @@ import uvicorn
 from api.live import Live, open_live
 from api.tokens import create_token, ensure_first_user
 from api.web.app import make_app
+from api.web.patience import Patient
 
 PATIENCE = 120.0
 """Seconds after which what should have happened is called stuck."""
@@ -76,14 +77,16 @@ class Served:
 
 
 @contextmanager
-def served(folder: Path, **options: Any) -> Iterator[Served]:
-    """A service on the database of `folder`; it is parked and gone when the context ends."""
+def served(folder: Path, database: Path | str | None = None, **options: Any) -> Iterator[Served]:
+    """A service on the database of `folder`, or on another; it is parked and gone when the context ends."""
     listener = socket.create_server(("127.0.0.1", 0))
     url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-    with open_live(folder / "goniometer.db", folder / "results", url=url, **options) as live:
+    with open_live(database or folder / "goniometer.db", folder / "results", url=url, **options) as live:
         ensure_first_user(live.store)
         token = create_token(live.store, "local", "test")[0]
-        config = uvicorn.Config(make_app(live), log_config=None, access_log=False, timeout_graceful_shutdown=3)
+        config = uvicorn.Config(
+            make_app(live), http=Patient, ws="none", log_config=None, access_log=False, timeout_graceful_shutdown=3
+        )
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()

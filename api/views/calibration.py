@@ -4,11 +4,15 @@ from pydantic import Field
 
 from api.certificates import sha256_of
 from api.views.body import Body
+from goniometer import look_up
 from goniometer.drift import REFERENCE_WAVELENGTH, lamp_series
 from goniometer.errors import CalibrationError
 from goniometer.raw import read_raw
-from goniometer.records import Outcome, Phase, Scan
+from goniometer.records import ExposureKind, Outcome, Phase, Scan
 from goniometer.store import Store
+
+_OF_THE_LAMP: tuple[ExposureKind, ...] = ("dark", "monitor")
+"""What tells how the lamp drifted; a scan has a hundred times as many others."""
 
 
 class Drift(Body):
@@ -40,7 +44,7 @@ def reference_view(store: Store, scan: Scan) -> Reference:
     """A scan of the reference panel that has begun."""
     text = store.certificate(scan.campaign_id)
     drift, words = None, ""
-    raw = read_raw(store, scan.id)
+    raw = read_raw(store, scan.id, _OF_THE_LAMP)
     try:
         series = lamp_series(raw)
     except CalibrationError as error:
@@ -57,7 +61,7 @@ def reference_view(store: Store, scan: Scan) -> Reference:
     return Reference(
         scan=scan.id,
         campaign_id=scan.campaign_id,
-        campaign=store.campaigns()[scan.campaign_id],
+        campaign=look_up.campaign_row(store, scan.campaign_id).name,
         phase=scan.phase,
         outcome=scan.outcome,
         started=scan.started,

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from api.views.body import Body
 from api.views.opened import Opened
+from goniometer.archive_file import archive_of
 from goniometer.store import Store
 
 NodeKind = Literal[
@@ -87,12 +88,13 @@ def _measured(store: Store, scan_id: int, told: dict[str, Any]) -> list[LineageN
         ids=[int(told["reference_scan"])] if "reference_scan" in told else [],
         sources=[*_exposures(told, "reference_"), certificate],
     )
+    archive = archive_of(store, scan_id)
     own = LineageNode(
         kind="scan",
         title=f"scan of {scan.name}",
         href=f"/api/scans/{scan_id}",
         ids=[scan_id],
-        about=_words({"started": scan.started, "finished": scan.finished}),
+        about=_words({"started": scan.started, "finished": scan.finished, "raw_counts": archive and archive.path}),
         sources=_exposures(told, ""),
     )
     return [own, reference]

@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import os
 import threading
 import zipfile
@@ -26,9 +27,12 @@ from goniometer.between import FEWEST
 from goniometer.catalogue import Entry
 from goniometer.dataset import Dataset
 from goniometer.derived import software_version
+from goniometer.errors import GoniometerError
 from goniometer.fill import Filled, fill, unmeasured
 from goniometer.records import StoredText
 from goniometer.store import Store
+
+log = logging.getLogger(__name__)
 
 SHIFT_MODELS = ("cook-torrance-shift", "dielectric-shift")
 """The models whose colours a map compares with the measurement, the first of those that were fitted."""
@@ -37,8 +41,10 @@ _DATASETS = 12
 """Datasets that are kept in memory."""
 _ANSWERS = 100
 """Answers about them that are kept in memory."""
-_FILLED = 500
+_FILLED = 5000
 """Files of filled directions that are kept; some 100 kB each."""
+_LOOK = 5.0
+"""Seconds between two looks for new datasets."""
 
 T = TypeVar("T")
 
@@ -109,6 +115,20 @@ class Datasets:
         """Load what takes seconds the first time; call it in a thread of its own when the service starts."""
         load_conductor()
         xyz_weights(np.array(COLOUR_RANGE))
+
+    def fill_new(self, stop: threading.Event) -> None:
+        """Until `stop` is set, fill what comes into the database as soon as it is there, so that nobody waits for it.
+
+        Call it in a thread of its own.
+        """
+        last = self._store.newest_dataset()
+        while not stop.wait(_LOOK):
+            try:
+                for dataset_id in self._store.datasets_after(last):
+                    last = dataset_id
+                    self.filled(self.open(dataset_id))
+            except GoniometerError as error:  # whoever opens it is told, too
+                log.warning("Dataset %s was not filled beforehand: %s", last, error)
 
     def version(self, dataset_id: int) -> tuple[object, ...]:
         """What all views of a dataset are made of: they change with nothing else. Raises `NotInStore`."""

@@ -17,13 +17,16 @@ from api.certificates import (
     wavelengths_of,
 )
 from api.job_arguments import RecalibrateArguments, RecalibrationAsked
+from api.live import Live
 from api.views.calibration import Reference, reference_view
 from api.views.history import History, history
 from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import submit
-from api.web.paging import After, Page, after_number, page
+from api.web.paging import After, Page, after_number, etag, page
+from goniometer import look_up
+from goniometer.records import Scan
 
 router = APIRouter(prefix="/api", tags=["calibration"])
 
@@ -96,10 +99,8 @@ def certificate(
 @router.get("/references")
 def references(live: Here, caller: Viewer, after: After = None) -> Page[Reference]:
     """Scans of the reference panel, newest first, with how the lamp drifted in each."""
-    before = None if after is None else after_number(after)
-    scans = [scan for scan in reversed(live.store.scans()) if scan.kind == "reference" and scan.started is not None]
-    rows = [scan for scan in sorted(scans, key=lambda scan: -scan.id) if before is None or scan.id < before]
-    return page(rows[: _PAGE + 1], _PAGE, lambda scan: reference_view(live.store, scan), lambda scan: scan.id)
+    rows = look_up.begun_references(live.store, _PAGE + 1, None if after is None else after_number(after))
+    return page(rows, _PAGE, lambda scan: _reference(live, scan), lambda scan: scan.id)
 
 
 @router.get("/history")
@@ -127,6 +128,15 @@ def characterisations(live: Here, caller: Viewer) -> list[CharacterisationView]:
 def recalibrate(number: Number, asked: RecalibrationAsked, live: Here, caller: Metrologist) -> JobView:
     """Calibrate the raw data of a dataset anew; the older dataset stays."""
     return submit(live, caller, "recalibrate", RecalibrateArguments(dataset=number, **asked.model_dump()))
+
+
+def _reference(live: Live, scan: Scan) -> Reference:
+    """How a scan is shown; what was found out about one that has ended is remembered until it goes on."""
+    if scan.phase != "finished":
+        return reference_view(live.store, scan)
+    tag = etag("reference", scan.id, scan.finished)
+    content = live.datasets.answer(tag, lambda: reference_view(live.store, scan).model_dump_json().encode())
+    return Reference.model_validate_json(content)
 
 
 def _row(known: Known) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
-from analysis.errors import AnalysisError
+from analysis.errors import AnalysisError, SceneError, UnknownConductor
 from api.errors import Conflict, Misdirected, NotAllowed, Outdated, TooLarge, TooManyFailures, Unauthorised
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError, InputError, NotInStore, StoreBusy, StoreFull
+from goniometer.errors import GoniometerError, InputError, NotInStore, OptionError, StoreBusy, StoreFull
 from goniometer.wording import key_path
 
 log = logging.getLogger(__name__)
@@ -34,6 +34,8 @@ STATUS: dict[type[Exception], HTTPStatus] = {
     Misdirected: HTTPStatus.MISDIRECTED_REQUEST,
     TooManyFailures: HTTPStatus.TOO_MANY_REQUESTS,
     InputError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    UnknownConductor: HTTPStatus.UNPROCESSABLE_ENTITY,
+    SceneError: HTTPStatus.UNPROCESSABLE_ENTITY,
     StoreFull: HTTPStatus.INSUFFICIENT_STORAGE,
     # what was asked for was right, and what is there does not allow it
     AnalysisError: HTTPStatus.CONFLICT,
@@ -48,6 +50,7 @@ TOLD = {
     404: "It is not there.",
     405: "There is no such method here.",
     406: "It does not come in a form that is accepted.",
+    408: "What was being sent did not come for half a minute.",
     409: "It is not possible now; the detail says why and what is.",
     412: "It was changed since it was read.",
     413: "More was sent than is read.",
@@ -128,7 +131,8 @@ def told(error: Exception) -> JSONResponse:
     headers = {"WWW-Authenticate": "Bearer"} if status is HTTPStatus.UNAUTHORIZED else {}
     if isinstance(error, TooManyFailures):
         headers["Retry-After"] = str(math.ceil(error.seconds))
-    return problem(status, str(error), _name(error), headers=headers)
+    detail = error.by_field if isinstance(error, OptionError) else str(error)
+    return problem(status, detail, _name(error), headers=headers)
 
 
 async def _known(_: Request, error: Exception) -> JSONResponse:

@@ -9,14 +9,13 @@ from api import queue
 from api.errors import Conflict
 from api.live import Live
 from api.queue_view import EntryView, entry_view
-from api.service import ACTIVE_PHASES
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
 from goniometer.errors import NotInStore
-from goniometer.records import Command
+from goniometer.records import ACTIVE_PHASES, Command
 
 router = APIRouter(prefix="/api/queue", tags=["queue"])
 
@@ -155,7 +154,7 @@ def _request(live: Live, number: int, command: Command) -> EntryView:
     if active is None:
         raise Conflict(
             f'Entry {number}, "{wanted.name}", cannot {command} just now, as no scan of it is under way: the bench is '
-            f"made ready, or fits are made; try again in a moment, or stop the bench"
+            f"made ready, or all is measured and its fits are made; try again in a moment, or stop the bench"
         )
     if command == "resume" and active.phase == "running":
         return _view(live, wanted)

@@ -1,14 +1,17 @@
 """What was measured, by the name of the sample."""
 
+from bisect import bisect_right
+from collections.abc import Mapping
 from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from api.views.listing import DatasetRow, row
 from api.web.access import Caller, needs
 from api.web.context import Here
-from goniometer.catalogue import Wanted
+from api.web.paging import DEFAULT_LIMIT, Limit, Page, page
+from goniometer.catalogue import Entry, Wanted
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/samples", tags=["datasets"])
@@ -31,14 +34,20 @@ class SampleView(SampleRow):
 
 
 @router.get("")
-def samples(live: Here, caller: Annotated[Caller, needs("viewer")]) -> list[SampleRow]:
+def samples(
+    live: Here,
+    caller: Annotated[Caller, needs("viewer")],
+    limit: Limit = DEFAULT_LIMIT,
+    after: Annotated[
+        str | None, Query(max_length=4000, description="`next` of the page before; none: the first page.")
+    ] = None,
+) -> Page[SampleRow]:
     """All samples that have a dataset or that a campaign asked for, in alphabetical order."""
-    counts = live.store.dataset_counts()
-    rows = []
-    for name in live.store.samples():
-        newest = live.store.entries(Wanted(sample=name), 1)
-        rows.append(SampleRow(name=name, datasets=counts.get(name, 0), newest=row(newest[0]) if newest else None))
-    return rows
+    names = live.store.samples()
+    first = 0 if after is None else bisect_right(names, after)
+    part = names[first : first + limit + 1]
+    known = live.store.of_samples(part)
+    return page(part, limit, lambda name: _row(name, known), lambda name: name)
 
 
 @router.get("/{name}")
@@ -48,5 +57,9 @@ def sample(name: str, live: Here, caller: Annotated[Caller, needs("viewer")]) ->
     if known is None:
         raise NotInStore(f'There is no sample "{name[:100]}"; list what there is')
     found = [row(entry) for entry in live.store.entries(Wanted(sample=known), _NEWEST)]
-    count = live.store.dataset_counts().get(known, 0)
-    return SampleView(name=known, datasets=count, newest=found[0] if found else None, all=found)
+    return SampleView(**_row(known, live.store.of_samples([known])).model_dump(), all=found)
+
+
+def _row(name: str, known: Mapping[str, tuple[int, Entry]]) -> SampleRow:
+    count, newest = known.get(name, (0, None))
+    return SampleRow(name=name, datasets=count, newest=None if newest is None else row(newest))

@@ -160,9 +160,7 @@ def scan_views(live: Live, rows: list[Scan]) -> list[ScanView]:
 
 
 def _scans(live: Live, campaign: int | None, after: str | None, limit: int) -> Page[ScanView]:
-    start = after_number(after)
-    rows = [scan for scan in live.store.scans(campaign) if scan.id > start]
-    rows = sorted(rows, key=lambda scan: scan.id)[: limit + 1]
+    rows = look_up.scans_after(live.store, after_number(after), limit + 1, campaign)
     views = {view.id: view for view in scan_views(live, rows)}
     return page(rows, limit, lambda scan: views[scan.id], lambda scan: scan.id)
 

@@ -101,20 +101,20 @@ def test_a_short_password_is_refused(store: Store) -> None:
     assert all_users(store) == []
 
 
-def test_the_last_admin_cannot_lock_the_door_behind_themselves(store: Store) -> None:
-    add_user(store, "anna", "admin", None)
-    add_user(store, "bert", "admin", None)
-    set_disabled(store, "bert", disabled=True)
-    for last in (lambda: set_role(store, "anna", "viewer"), lambda: remove_user(store, "anna")):
+def test_the_last_admin_cannot_lock_the_door_behind_themselves(either: Store) -> None:
+    add_user(either, "anna", "admin", None)
+    add_user(either, "bert", "admin", None)
+    set_disabled(either, "bert", disabled=True)
+    for last in (lambda: set_role(either, "anna", "viewer"), lambda: remove_user(either, "anna")):
         with pytest.raises(InputError, match="only admin"):
             last()
     with pytest.raises(InputError, match="only admin"):
-        set_disabled(store, "anna", disabled=True)
-    set_disabled(store, "bert", disabled=False)
-    set_role(store, "anna", "viewer")
-    assert [user.role for user in all_users(store)] == ["viewer", "admin"]
+        set_disabled(either, "anna", disabled=True)
+    set_disabled(either, "bert", disabled=False)
+    set_role(either, "anna", "viewer")
+    assert [user.role for user in all_users(either)] == ["viewer", "admin"]
     with pytest.raises(NotInStore):
-        remove_user(store, "carl")
+        remove_user(either, "carl")
 
 
 def test_each_role_may_do_what_those_before_it_may() -> None:
@@ -127,15 +127,15 @@ def test_each_role_may_do_what_those_before_it_may() -> None:
     ]
 
 
-def test_a_token_never_may_more_than_its_owner_may_now(store: Store) -> None:
-    add_user(store, "root", "admin", None)
-    add_user(store, "anna", "metrologist", None)
+def test_a_token_never_may_more_than_its_owner_may_now(either: Store) -> None:
+    add_user(either, "root", "admin", None)
+    add_user(either, "anna", "metrologist", None)
     with pytest.raises(InputError, match="cannot have the role admin"):
-        create_token(store, "anna", "too much", "admin")
-    text, _ = create_token(store, "anna", "script", "operator")
+        create_token(either, "anna", "too much", "admin")
+    text, _ = create_token(either, "anna", "script", "operator")
     for role, may in (("metrologist", "operator"), ("admin", "operator"), ("viewer", "viewer")):
-        set_role(store, "anna", role)  # type: ignore[arg-type]
-        caller = token_caller(store, text)
+        set_role(either, "anna", role)  # type: ignore[arg-type]
+        caller = token_caller(either, text)
         assert caller is not None
         assert (caller.name, caller.role) == ("anna", may)
 
@@ -185,36 +185,36 @@ def test_a_session_ends_when_it_was_idle_or_is_old(
     assert sql(file, "SELECT count(*) FROM sessions") == [(1 + lives,)]  # what has ended is not kept
 
 
-def test_a_session_ends_with_the_password_the_token_and_the_person_that_began_it(store: Store) -> None:
-    add_user(store, "root", "admin", None)
-    add_user(store, "anna", "operator", PASSWORD)
-    add_user(store, "bert", "operator", None)
-    _, token = create_token(store, "anna", "page", "viewer")
-    others = begin_session(store, "bert")
-    by_token = begin_session(store, "anna", token.id)
-    caller = session_caller(store, by_token)
+def test_a_session_ends_with_the_password_the_token_and_the_person_that_began_it(either: Store) -> None:
+    add_user(either, "root", "admin", None)
+    add_user(either, "anna", "operator", PASSWORD)
+    add_user(either, "bert", "operator", None)
+    _, token = create_token(either, "anna", "page", "viewer")
+    others = begin_session(either, "bert")
+    by_token = begin_session(either, "anna", token.id)
+    caller = session_caller(either, by_token)
     assert caller is not None
     assert caller.role == "viewer"
-    revoke_token(store, token.id)
-    assert session_caller(store, by_token) is None
-    first, second = begin_session(store, "anna"), begin_session(store, "anna")
-    end_session(store, first)
-    assert session_caller(store, first) is None
-    assert session_caller(store, second) is not None
-    set_password(store, "anna", PASSWORD + "!")
-    assert session_caller(store, second) is None
-    third = begin_session(store, "anna")
-    set_disabled(store, "anna", disabled=True)
-    set_disabled(store, "anna", disabled=False)
-    assert session_caller(store, third) is None
-    assert session_caller(store, others) is not None
+    revoke_token(either, token.id)
+    assert session_caller(either, by_token) is None
+    first, second = begin_session(either, "anna"), begin_session(either, "anna")
+    end_session(either, first)
+    assert session_caller(either, first) is None
+    assert session_caller(either, second) is not None
+    set_password(either, "anna", PASSWORD + "!")
+    assert session_caller(either, second) is None
+    third = begin_session(either, "anna")
+    set_disabled(either, "anna", disabled=True)
+    set_disabled(either, "anna", disabled=False)
+    assert session_caller(either, third) is None
+    assert session_caller(either, others) is not None
 
 
-def test_the_first_start_lets_somebody_in_and_later_ones_nobody(store: Store) -> None:
-    text = first_token(store)
+def test_the_first_start_lets_somebody_in_and_later_ones_nobody(either: Store) -> None:
+    text = first_token(either)
     assert text is not None
-    caller = token_caller(store, text)
+    caller = token_caller(either, text)
     assert caller is not None
     assert (caller.name, caller.role) == ("local", "admin")
-    assert first_token(store) is None
-    assert check_password(store, "local", "") is None
+    assert first_token(either) is None
+    assert check_password(either, "local", "") is None

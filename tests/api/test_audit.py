@@ -8,10 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError
 
 from api.audit import FIRST, entries, head, record, verify
 from goniometer.errors import StoreError
 from goniometer.store import Store
+from tests.databases import fresh_database, outside
 
 
 @pytest.fixture
@@ -67,12 +70,11 @@ def test_an_empty_log_is_whole(store: Store) -> None:
 
 
 @pytest.mark.parametrize("statement", ["UPDATE log SET who = 'bert' WHERE sequence = 2", "DELETE FROM log"])
-def test_the_database_itself_refuses_to_change_the_log(store: Store, file: Path, statement: str) -> None:
-    fill(store)
-    with sqlite3.connect(file) as connection, pytest.raises(sqlite3.IntegrityError, match="only ever added"):
-        connection.execute(statement)
-    connection.close()
-    assert verify(store).fault is None
+def test_the_database_itself_refuses_to_change_the_log(either: Store, database: Path | str, statement: str) -> None:
+    fill(either)
+    with pytest.raises(IntegrityError, match="only ever added"), outside(database) as connection:
+        connection.execute(text(statement))
+    assert verify(either).fault is None
 
 
 @pytest.mark.parametrize(
@@ -99,6 +101,17 @@ def test_a_changed_removed_or_cut_row_is_found(store: Store, file: Path, stateme
     assert fault is not None
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(fault)
+
+
+def test_a_row_that_was_changed_on_a_server_is_found(postgresql: str) -> None:
+    with fresh_database(postgresql) as database:
+        store = Store.open(database)
+        fill(store)
+        with outside(database) as connection:
+            connection.execute(text("ALTER TABLE log DISABLE TRIGGER ALL"))
+            connection.execute(text("UPDATE log SET who = 'bert' WHERE sequence = 2"))
+        assert "Row 2 of the log was changed" in str(verify(store).fault)
+        store.close()
 
 
 def test_a_row_that_somebody_slipped_in_is_found_although_its_own_hash_is_right(store: Store, file: Path) -> None:
@@ -128,25 +141,26 @@ def test_a_hash_that_was_noted_elsewhere_tells_of_a_tail_that_was_cut_off_with_c
     assert noted in str(verify(store, noted).fault)
 
 
-def _write(file: Path, who: str, count: int) -> None:
-    store = Store.open(file)
+def _write(database: Path | str, who: str, count: int) -> None:
+    store = Store.open(database)
     for number in range(count):
         record(store, who, "count", {"number": number})
     store.close()
 
 
-def test_two_processes_that_write_at_once_keep_one_chain(store: Store, file: Path) -> None:
+def test_two_processes_that_write_at_once_keep_one_chain(either: Store, database: Path | str) -> None:
     writers = [
-        multiprocessing.get_context("fork").Process(target=_write, args=(file, who, 30)) for who in ("worker", "web")
+        multiprocessing.get_context("fork").Process(target=_write, args=(database, who, 30))
+        for who in ("worker", "web")
     ]
     for writer in writers:
         writer.start()
     for writer in writers:
         writer.join()
-    verdict = verify(store)
+    verdict = verify(either)
     assert (verdict.rows, verdict.fault) == (60, None)
     for who in ("worker", "web"):
-        mine = [json.loads(entry.about)["number"] for entry in reversed(entries(store, limit=100)) if entry.who == who]
+        mine = [json.loads(entry.about)["number"] for entry in reversed(entries(either, limit=100)) if entry.who == who]
         assert mine == list(range(30))
 
 

@@ -1,6 +1,7 @@
 """Datasets, exports, uploads and certificates over REST, without a bench."""
 
 import hashlib
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -128,3 +129,29 @@ def test_a_certificate_that_was_handed_in_is_known_by_its_content(service: Servi
     refused = hand_in("serial,1\n")
     assert refused.status_code == 422
     assert "panel.csv" in refused.json()["detail"]
+
+
+def test_what_a_file_does_not_say_is_asked_for_by_the_name_of_its_field(service: Service) -> None:
+    client, _, _ = service
+    table = "theta_in,theta_out," + ",".join(map(str, range(400, 710, 10))) + "\n"
+    table += "".join(f"{t},{t},{','.join(['0.3'] * 31)}\n" for t in (10, 20, 30))
+    sent = client.request("POST", "/api/uploads", params={"name": "theirs.csv"}, content=table.encode())
+    token = sent.json()["upload"]
+    job = client.post("/api/datasets/import", {"upload": token, "aperture": 1, "angle_uncertainty": 0.1}).json()
+    end = time.monotonic() + 120
+    while (job := client.get(f"/api/jobs/{job['id']}").json())["state"] in {"waiting", "running"}:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    assert job["state"] == "failed"
+    assert "state quantity, angles, wavelengths as well" in job["reason"]
+    assert "--" not in job["reason"]
+    refused = client.post("/api/datasets/1/exports", {"format": "csv", "options": {"creators": ["A, B"]}})
+    assert refused.status_code == 422, refused.text
+    assert "no option creators" in refused.json()["detail"]
+
+
+def test_a_metal_or_a_scene_that_cannot_be_is_a_fault_of_what_was_sent(service: Service) -> None:
+    client, _, _ = service
+    unknown = client.post("/api/datasets/1/fits", {"conductor": "main/Au/Nobody"})
+    assert unknown.status_code == 422, unknown.text
+    assert "main/Au/Johnson" in unknown.json()["detail"]

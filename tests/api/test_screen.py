@@ -1,8 +1,6 @@
 """What an operator sees in a browser, driven as an operator drives it."""
 
-import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -13,18 +11,14 @@ from pathlib import Path
 
 import httpx
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
 
+from tests.api.browser import looker, needs_chromium
 from tests.served import PATIENCE, wait_for
 
-CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
 STATIC = Path(__file__).parents[2] / "api" / "static"
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: nobody looks at the pages here"),
-]
+pytestmark = [pytest.mark.slow, needs_chromium]
 
 CAMPAIGN = """
 name: First day
@@ -72,54 +66,35 @@ def port() -> int:
 
 
 def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_path: Path, port: int) -> None:
-    shots = Path(os.environ.get("SCREENSHOTS", tmp_path / "screenshots"))
-    shots.mkdir(parents=True, exist_ok=True)
     url = f"http://127.0.0.1:{port}"
-    strangers: list[str] = []
-    faults: list[str] = []
-
-    def look(page: Page, name: str) -> None:
-        """Keep a picture, dark and light, and ask axe what a person with other eyes or hands cannot use."""
-        for scheme in ("dark", "light"):
-            page.emulate_media(color_scheme=scheme)
-            page.screenshot(path=shots / f"{name}-{scheme}.png", full_page=True)
-            found = Axe().run(page)
-            faults.extend(f"{name}, {scheme}: {each['id']}: {each['help']}" for each in found.response["violations"])
 
     def state(page: Page, words: str) -> None:
         expect(page.get_by_role("banner").get_by_role("status")).to_contain_text(words)
 
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        context = browser.new_context(viewport={"width": 1500, "height": 1000}, accept_downloads=True)
-        context.set_default_timeout(1000 * PATIENCE)
-        expect.set_options(timeout=1000 * PATIENCE)
-        page = context.new_page()
-        page.on("request", lambda request: strangers.append(request.url) if not request.url.startswith(url) else None)
-        page.on("pageerror", lambda error: faults.append(str(error)))
-
+    with looker(tmp_path, url) as looking:
+        page, look = looking.page, looking.look
         with service(tmp_path, port) as said:
             # the first start prints an address that lets its reader in
             address = re.search(r"http://\S+#token=\S+", said)
             assert address is not None, said
             page.goto(url)
             expect(page.get_by_role("button", name="Log in")).to_be_visible()
-            look(page, "login")
+            look("login")
             page.goto("about:blank")
             page.goto(address[0])
             state(page, "Not connected")
             assert "token" not in page.url
-            look(page, "bench")
+            look("bench")
 
             page.get_by_role("link", name="Queue").click()
             page.get_by_label("Campaign (YAML)").fill(CAMPAIGN)
             page.get_by_role("button", name="Look at the plan").click()
             expect(page.get_by_role("heading", name="First day")).to_be_visible()
-            look(page, "plan")
+            look("plan")
             page.get_by_role("button", name="Start it").click()
 
             expect(page.get_by_text("Mount", exact=False).first).to_be_visible()
-            look(page, "mount")
+            look("mount")
             page.get_by_role("button", name="It is mounted").click()
             expect(page.get_by_text("Mount Sample 1").first).to_be_visible()
             page.get_by_role("button", name="It is mounted").click()
@@ -128,13 +103,13 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
             state(page, "Paus")
             page.reload()
             state(page, "Paused")
-            look(page, "paused")
+            look("paused")
             done = page.get_by_text(re.compile(r"\d+ of about \d+ points")).inner_text()
 
         with service(tmp_path, port) as said:
             assert "#token=" not in said
             # the page that was open comes back by itself, and what was measured is still there
-            expect(page.get_by_text("no live connection")).to_be_hidden()
+            expect(page.get_by_text("The service does not answer")).to_be_hidden()
             expect(page.get_by_role("button", name="Go on")).to_be_visible()
             assert page.get_by_text(re.compile(r"\d+ of about \d+ points")).inner_text() == done
             page.get_by_role("button", name="Go on").click()
@@ -142,7 +117,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
             page.get_by_role("link", name="Bench").click()
             state(page, "Measuring")
             expect(page.get_by_label("Raw counts of the last spectrum against wavelength")).to_be_visible()
-            look(page, "measuring")
+            look("measuring")
 
             page.get_by_role("link", name="Queue").click()
             page.get_by_role("link", name="its datasets").click()
@@ -155,7 +130,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
             for tab in ("distributions", "slopes", "models", "quality", "lineage", "export"):
                 page.get_by_role("tab", name=tab).click()
                 page.wait_for_load_state("networkidle")
-                look(page, f"dataset-{tab}")
+                look(f"dataset-{tab}")
             page.get_by_role("button", name="Export to csv").click()
             with page.expect_download() as download:
                 page.get_by_role("link", name=re.compile(r"\.csv$")).first.click()
@@ -165,9 +140,8 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
                 page.get_by_role("link", name=name, exact=True).first.click()
                 expect(page.get_by_role("heading", level=1)).to_be_visible()
                 page.wait_for_timeout(500)
-                look(page, name.lower())
+                look(name.lower())
             page.get_by_role("button", name="Verify the whole log").click()
             expect(page.get_by_text("as they were written")).to_be_visible()
-        browser.close()
-    assert faults == []
-    assert strangers == [], "the page asked another server"
+    assert looking.faults == []
+    assert looking.strangers == [], "the page asked another server"

@@ -169,11 +169,11 @@ def test_an_operator_sees_where_the_arm_went_and_what_it_saw(service: Served) ->
 
 
 def test_a_stop_reaches_a_bench_that_another_service_drives_and_the_other_takes_over_when_it_ends(
-    tmp_path: Path,
+    tmp_path: Path, database: Path | str
 ) -> None:
-    with served(tmp_path, mounts_by_itself=True) as first:
+    with served(tmp_path, database, mounts_by_itself=True) as first:
         wait_for(lambda: first.state()["driver"])
-        with served(tmp_path, mounts_by_itself=True) as second:
+        with served(tmp_path, database, mounts_by_itself=True) as second:
             there = wait_for(lambda: second.state()["driver"])
             assert not there["here"]
             assert first.url in second.refused("/api/instrument/connect")

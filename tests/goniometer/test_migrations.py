@@ -23,7 +23,7 @@ from goniometer.only_added import protect
 from goniometer.store import Store
 from goniometer.upgrade import upgrade
 from tests.databases import fresh_database, outside
-from tests.goniometer.old_databases import COMMON, COUNTS, DATASET, SCHEMAS, build, version_of
+from tests.goniometer.old_databases import COMMON, COUNTS, DATASET, SCHEMAS, TAKEN, build, version_of
 
 
 @pytest.fixture(params=SCHEMAS, ids=lambda schema: schema.stem)
@@ -59,6 +59,8 @@ def test_every_old_version_has_its_database_here() -> None:
     assert {version_of(schema) for schema in SCHEMAS} == set(range(1, 8))
 
 
+# those indexes are compared as texts
+@pytest.mark.filterwarnings("ignore:Skipped unsupported reflection of expression-based index")
 def test_an_upgraded_database_has_the_tables_constraints_and_triggers_of_a_new_one(
     old: tuple[Path, int], tmp_path: Path
 ) -> None:
@@ -168,9 +170,16 @@ def test_a_postgresql_database_is_upgraded_with_all_that_is_in_it(postgresql: st
     with fresh_database(postgresql, empty=True) as database:
         with outside(database) as connection:
             baseline.metadata.create_all(connection)
-            rows = {"about": {"application": "goniometer", "schema_version": 8}, **COMMON}
-            for name in ("about", "campaigns", "characterisations", "lease", "queue"):
-                table, row = baseline.metadata.tables[name], rows[name]
+            exposure = {"id": 11, "scan_id": 2, "kind": "dark", "integration_time": 0.25, "counts": COUNTS}
+            exposure |= {"device_count": 7, "detector_temperature": -10.125, "session": "s1", "moment": 12.5}
+            rows = {
+                "about": {"application": "goniometer", "schema_version": 8},
+                "campaigns": COMMON["campaigns"] | {"json": "{}"},
+                **{name: COMMON[name] for name in ("scans", "characterisations", "lease", "queue")},
+                "exposures": exposure | {"taken": TAKEN},
+            }
+            for name, row in rows.items():
+                table = baseline.metadata.tables[name]
                 booleans = {column.name for column in table.columns if isinstance(column.type, Boolean)}
                 known = {key: bool(value) if key in booleans else value for key, value in row.items()}
                 connection.execute(table.insert().values(**known))
@@ -182,7 +191,9 @@ def test_a_postgresql_database_is_upgraded_with_all_that_is_in_it(postgresql: st
         with pytest.raises(StoreOutdated, match="goniometer db upgrade"):
             Store.open(database)
         assert [step[:4] for step in upgrade(database).steps] == list(migrations.known()[1:])
-        Store.open(database).close()
+        store = Store.open(database)
+        assert [exposure.counts.astype("<u4").tobytes() for exposure in store.exposures(2)] == [COUNTS]
+        store.close()
         with outside(database) as connection:
             opts = {"compare_type": True, "compare_server_default": True}
             context = MigrationContext.configure(connection, opts=opts)

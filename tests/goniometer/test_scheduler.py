@@ -72,14 +72,6 @@ def store(tmp_path):
     opened.close()
 
 
-@pytest.fixture
-def either(database):
-    """A store in an SQLite file, and one on a PostgreSQL server."""
-    opened = Store.open(database)
-    yield opened
-    opened.close()
-
-
 def test_the_measured_brdf_is_that_of_the_sample_within_its_uncertainty(tmp_path):
     store = Store.open(tmp_path / "bench.db")
     rough = CAMPAIGN.model_copy(update={"samples": (Sample(name="Rough", material="sample-1"),)})

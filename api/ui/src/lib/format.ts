@@ -26,6 +26,16 @@ export function uncertain(value: number | null | undefined, u: number | null | u
   return `${number(value, digits)}(${shown})`;
 }
 
+/** A large number in groups of three digits: `200 000`. */
+export function grouped(value: number): string {
+  return Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, '\u202f').replace('-', MINUS);
+}
+
+/** An integration time: `8.0 ms`, `1.25 s`, `30 s`. */
+export function integration(seconds: number): string {
+  return seconds < 1 ? `${(1000 * seconds).toFixed(seconds < 0.1 ? 1 : 0)} ms` : `${significant(seconds)} s`;
+}
+
 export function degrees(value: number | null | undefined, digits = 2): string {
   const text = number(value, digits);
   return text === '–' ? text : `${text}°`;

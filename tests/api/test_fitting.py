@@ -1,0 +1,114 @@
+"""Fits are made while the bench goes on, and whatever becomes of them is the end of their campaign, with its reason."""
+
+import asyncio
+import operator
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from api import fitting, queue
+from api.bench import OperatedBench
+from api.fitting import Fits
+from api.live import open_live
+from api.queue_view import entry_view
+from api.runner import Runner, Task
+from api.state import Told
+from goniometer.campaign import Campaign
+from goniometer.store import Store
+from tests.served import TINY
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store.open(tmp_path / "bench.db")
+
+
+def next_entry(store: Store, name: str) -> queue.Entry:
+    """A small campaign whose turn it is."""
+    added = queue.add_entry(store, Campaign.model_validate(TINY | {"name": name}), "anna")
+    queue.start_entry(store, added.id)
+    entry = queue.next_entry(store)
+    assert entry is not None
+    return entry
+
+
+def runner_on(store: Store, tmp_path: Path, told: list[Told]) -> tuple[Runner, OperatedBench]:
+    bench = OperatedBench(None, lambda: None)
+    task = Task(tmp_path / "bench.db", tmp_path / "results", None, "http://localhost", True, bench="simulated")
+    return Runner(store, bench, task, told.append, lambda: None), bench
+
+
+def test_a_fault_of_the_program_in_a_fit_ends_the_entry_with_its_reason_and_not_the_process_of_the_bench(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def go() -> None:
+        runner, bench = runner_on(store, tmp_path, [])
+        with store.exclusive():
+            entry = next_entry(store, "Tiny")
+            with monkeypatch.context() as broken:
+                broken.setattr(fitting, "derive", operator.truediv)  # a TypeError in the process that fits
+                await runner.run(entry)
+                await asyncio.wait(runner.fitting.values())
+            assert bench.phase == "ready"
+            ended = queue.entry(store, entry.id)
+            assert (ended.phase, ended.outcome) == ("finished", "failed")
+            assert "Sample 1" in ended.reason
+            assert "TypeError" in ended.reason
+            queue.start_entry(store, entry.id)
+            again = queue.next_entry(store)
+            assert again is not None
+            await runner.run(again)
+            await asyncio.wait(runner.fitting.values())
+            ended = queue.entry(store, entry.id)
+            assert (ended.outcome, ended.reason) == ("completed", "")
+            assert any(fit.kind == "analysis" for fit in store.fits(1))
+            await bench.park()
+
+    asyncio.run(go())
+
+
+def test_the_next_campaign_is_measured_while_the_fits_of_the_one_before_are_made(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def go() -> None:
+        runner, bench = runner_on(store, tmp_path, [])
+        goes_on = asyncio.Event()
+        kept = Fits.kept
+
+        async def late(fits: Fits, note: Callable[[str], None]) -> None:
+            await goes_on.wait()
+            await kept(fits, note)
+
+        monkeypatch.setattr(Fits, "kept", late)
+        with store.exclusive():
+            first = next_entry(store, "First")
+            await runner.run(first)
+            seen = queue.entry(store, first.id)
+            with open_live(tmp_path / "bench.db", tmp_path / "results") as live:
+                assert entry_view(live, seen, live.worker.state).phase == "fitting"
+            second = next_entry(store, "Second")
+            await runner.run(second)
+            assert sum(scan.outcome == "completed" for scan in store.scans()) == 4
+            assert [queue.entry(store, each.id).outcome for each in (first, second)] == [None, None]
+            goes_on.set()
+            await asyncio.wait(runner.fitting.values())
+            assert [queue.entry(store, each.id).outcome for each in (first, second)] == ["completed", "completed"]
+            await bench.park()
+
+    asyncio.run(go())
+
+
+def test_fits_that_are_let_go_of_leave_the_entry_to_be_started_again(store: Store, tmp_path: Path) -> None:
+    async def go() -> None:
+        runner, bench = runner_on(store, tmp_path, [])
+        with store.exclusive():
+            entry = next_entry(store, "Tiny")
+            await runner.run(entry)
+            await runner.leave()
+            assert not runner.fitting
+            queue.interrupt(store, "The service has ended.")
+            assert queue.entry(store, entry.id).phase == "idle"
+            await bench.park()
+
+    asyncio.run(go())
