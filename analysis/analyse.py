@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from analysis.choices import Distribution, Engine, Weight
 from analysis.colour import colour_differences, has_colour
-from analysis.distributions import Distribution
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import Conductor, load_conductor
-from analysis.least_squares import Engine
-from analysis.loew import Weight
 from analysis.noise import hue_is_known
 from analysis.results import ColourDifferences, SampleAnalysis
 from goniometer.dataset import Dataset

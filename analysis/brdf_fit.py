@@ -14,13 +14,14 @@ from analysis.brdf_errors import Pulled, albedo_uncertainty, parameter_covarianc
 from analysis.brdf_problem import from_search, linearise, log_model, problem, to_search
 from analysis.brdf_start import SCANNED_ALPHAS, find_starts
 from analysis.brdf_two_component import find_two_components
+from analysis.choices import BRDF_MODELS, Distribution, Engine, Weight
 from analysis.directions import in_plane
-from analysis.distributions import Distribution, lobe_width
+from analysis.distributions import lobe_width
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.identify import LARGEST_RESIDUAL_RATIO, Evidence, judge
-from analysis.least_squares import Engine, Minimum, minimise
-from analysis.loew import MIRROR_LOBE, LoewData, Weight, grazing_weighs_less, loew_data
+from analysis.least_squares import Minimum, minimise
+from analysis.loew import MIRROR_LOBE, LoewData, grazing_weighs_less, loew_data
 from analysis.microfacet import LARGEST_W, Form, Shift, View, aperture_for, slope_of, view
 from analysis.misfit import MISFIT, excess, moved_by
 from analysis.models import LAMBDA_N, shift_is_clamped
@@ -41,9 +42,6 @@ _SHIFTS: dict[str, Shift] = {
     "dielectric-shift": "cosine",
     "dielectric-two-component": "two-component",
 }
-
-BRDF_MODELS = tuple(_SHIFTS)
-"""Names of the models that `brdf_fit` knows."""
 
 _EQUATIONS: dict[str, str] = {
     "cook-torrance": "f = F G D / (4 cos_i cos_o), Eq. 6",

@@ -19,11 +19,12 @@ import numpy as np
 
 from analysis.brdf_errors import Pulled
 from analysis.brdf_problem import problem, to_search
+from analysis.choices import Engine
 from analysis.directions import Directions, in_plane
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, fresnel_conductor
 from analysis.global_fit import search_slopes
-from analysis.least_squares import Engine, Minimum, SumOfSquares, minimise
+from analysis.least_squares import Minimum, SumOfSquares, minimise
 from analysis.loew import LoewData
 from analysis.microfacet import Form, View, slope_derivative, slope_of
 from analysis.models import LAMBDA_N

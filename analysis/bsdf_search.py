@@ -14,6 +14,7 @@ import numpy as np
 
 from analysis.bsdf_error import FAINTEST, Probe, probe, read_back
 from analysis.bsdf_fields import Grid, bsdf_fields, fine_lobe_table, size_of
+from analysis.choices import USUAL_COLOUR_ERROR, USUAL_ERROR
 from analysis.measured_bsdf import read_bsdf
 from analysis.rendered_model import RenderedModel
 from analysis.tensor_file import encode
@@ -37,9 +38,9 @@ _FEW_WAVELENGTHS = 4
 class Budget:
     """How far a file may be from its model."""
 
-    error: float = 0.02
+    error: float = USUAL_ERROR
     """99th percentile over directions of the relative error, the worst of all wavelengths for each."""
-    colour: float = 0.5
+    colour: float = USUAL_COLOUR_ERROR
     """99th percentile of CIEDE2000 with brightness; 1 is about what an eye can tell."""
 
 

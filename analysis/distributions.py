@@ -4,14 +4,11 @@ GGX and Beckmann, isotropic, as Walter et al. 2007 define them (Microfacet Model
 Surfaces; equation numbers below are theirs). Cosines have any one shape [...], `alpha` is the dimensionless roughness.
 """
 
-from typing import Literal
-
 import numpy as np
 
+from analysis.choices import Distribution
 from analysis.directions import Directions
 from drivers.arrays import BoolArray, FloatArray
-
-Distribution = Literal["ggx", "beckmann"]
 
 _UNMASKED = 1 / 1.6
 """alpha tan(theta) up to which the rational approximation of Beckmann's masking is one."""

@@ -5,26 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS, brdf_fit, form_of
+from analysis.brdf_fit import brdf_fit, form_of
 from analysis.brdf_two_component import local_slopes
+from analysis.choices import BRDF_MODELS, MODELS, Distribution, Engine, Weight
 from analysis.colour import colour_differences, has_colour
 from analysis.directions import Directions
-from analysis.distributions import Distribution
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.global_fit import SLOPE_MODELS, global_fit, search_slopes, slope_and_derivative
-from analysis.least_squares import Engine
 from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
-from analysis.loew import Weight
 from analysis.microfacet import slope_of
 from analysis.results import Comparison, LocalFit, ModelFit, Verdict
 from analysis.stored_fit import StoredFit
 from analysis.wording import words
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
-
-MODELS = ("local", "global", "global-two-component", *BRDF_MODELS)
-"""Names of all models that can be fitted."""
 
 SIMPLER = {
     "global": "constant-slope",

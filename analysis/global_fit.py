@@ -10,11 +10,12 @@ from itertools import product
 import numpy as np
 import scipy
 
+from analysis.choices import Engine
 from analysis.directions import Directions, in_plane
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
 from analysis.global_verdict import SlopeEvidence, judge_slopes
-from analysis.least_squares import Engine, SumOfSquares, minimise
+from analysis.least_squares import SumOfSquares, minimise
 from analysis.local_fit import local_gain, shifted_fresnel
 from analysis.misfit import MISFIT, excess, moved_by
 from analysis.models import cosine_slope_derivative, shift_is_clamped

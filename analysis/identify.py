@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.distributions import Distribution, lobe_width
+from analysis.choices import Distribution
+from analysis.distributions import lobe_width
 from analysis.microfacet import Quantity
 from analysis.noise import above_noise, flag_sentences
 from analysis.results import Verdict

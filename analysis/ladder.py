@@ -8,8 +8,9 @@ import numpy as np
 
 from analysis.brdf_fit import form_of
 from analysis.brdf_table import BrdfTable
+from analysis.choices import Distribution
 from analysis.directions import Directions
-from analysis.distributions import Distribution, lobe
+from analysis.distributions import lobe
 from analysis.fresnel import Conductor, fresnel_dielectric
 from analysis.microfacet import Form, brdf
 from analysis.results import Albedo, ModelFit

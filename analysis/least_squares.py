@@ -9,13 +9,11 @@ the one can be held against the other. Both go downhill from where they start: w
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from analysis.choices import Engine
 from drivers.arrays import BoolArray, FloatArray
-
-Engine = Literal["fast", "lmfit"]
 
 _ITERATIONS = 200
 _EVALUATIONS = 2000

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analysis.choices import Engine
 from analysis.errors import FitError
 from analysis.fresnel import Conductor, load_conductor
-from analysis.least_squares import Engine
 from analysis.local_lmfit import fit_each
 from analysis.local_misfit import doubts_of_metal, local_misfit
 from analysis.models import LAMBDA_N, normalised_fresnel, shift

@@ -6,10 +6,10 @@ standard uncertainty, and says which in the name of the cost.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
+from analysis.choices import Weight
 from analysis.errors import FitError
 from analysis.noise import flag_sentences
 from drivers.arrays import BoolArray, FloatArray
@@ -23,9 +23,6 @@ LEAST_POINTS = 5
 
 MIRROR_LOBE = 1.0
 """Full width at half maximum, degrees, below which a lobe counts as mirror-like and grazing angles weigh less."""
-
-Weight = Literal["none", "sine", "uncertainty"]
-"""How the terms of the cost are weighed: all alike, by sin(theta_in), or by the uncertainty of their counts."""
 
 _NAMES: dict[Weight, str] = {
     "none": "loew",

@@ -11,8 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from analysis.choices import Distribution
 from analysis.directions import Aperture, Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import Distribution, lobe_width
+from analysis.distributions import lobe_width
 from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric, fresnel_dielectric_derivative
 from analysis.models import (
     constant,

@@ -7,8 +7,9 @@ derivatives. Wavelengths are nanometres, slopes 1/um, BRDF 1/sr. Equation number
 
 import numpy as np
 
+from analysis.choices import Distribution
 from analysis.directions import Aperture, Directions, in_plane, through_aperture
-from analysis.distributions import Distribution, lobe, lobe_derivative
+from analysis.distributions import lobe, lobe_derivative
 from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric, fresnel_dielectric_derivative
 from drivers.arrays import BoolArray, FloatArray
 

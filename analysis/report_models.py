@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis import figures
 from analysis.albedo_figure import albedo_curves
-from analysis.brdf_fit import BRDF_MODELS
+from analysis.choices import BRDF_MODELS
 from analysis.distributions import lobe_width
 from analysis.misfit import PARTS_OF_FITS
 from analysis.notation import roughly, uncertainty, with_uncertainty

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.distributions import Distribution
+from analysis.choices import Distribution, Engine
 from analysis.fresnel import Conductor
-from analysis.least_squares import Engine
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 

@@ -6,12 +6,11 @@ import numpy as np
 
 from analysis.brdf_fit import form_of
 from analysis.brdf_problem import log_model
+from analysis.choices import Distribution, Engine
 from analysis.directions import in_plane
-from analysis.distributions import Distribution
 from analysis.errors import OutOfRange
 from analysis.fresnel import Conductor
 from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
-from analysis.least_squares import Engine
 from analysis.microfacet import aperture_for, brdf, view
 from analysis.models import normalised_fresnel, shift
 from analysis.results import Albedo, Comparison, Parameter, Verdict

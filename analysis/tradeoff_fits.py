@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from analysis.brdf_fit import brdf_fit
 from analysis.brdf_problem import from_search, problem, to_search
 from analysis.brdf_start import find_starts
+from analysis.choices import Engine
 from analysis.colour import colour_differences, has_colour
 from analysis.fresnel import Conductor
-from analysis.least_squares import Engine, SumOfSquares, minimise
+from analysis.least_squares import SumOfSquares, minimise
 from analysis.local_fit import LEAST_WAVELENGTHS, local_fit
 from analysis.loew import loew_data
 from analysis.microfacet import Form, aperture_for, view

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS
 from analysis.brdf_table import reference_table
+from analysis.choices import BRDF_MODELS
 from analysis.choose import NODES
 from analysis.colour import colour_differences
 from analysis.directions import Directions, round_aperture, through_aperture

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS
+from analysis.choices import BRDF_MODELS
 from analysis.choose import NODES, nodes, without_noise
 from analysis.fresnel import Conductor
 from analysis.ladder import Lambert, Microfacet, Rung

@@ -8,20 +8,17 @@ argon2id hashes (RFC 9106), never as they are.
 import re
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
 
 from argon2 import PasswordHasher
 from argon2.exceptions import VerifyMismatchError
 from sqlalchemy import Connection, delete, insert, select, update
 
+from api.choices import ROLES, Role
 from goniometer.database import Database
 from goniometer.errors import InputError, NotInStore
 from goniometer.records import now
 from goniometer.service_tables import sessions, users
 
-Role = Literal["viewer", "operator", "metrologist", "admin"]
-ROLES: tuple[Role, ...] = get_args(Role)
-"""From the one that may least to the one that may most."""
 SHORTEST_PASSWORD = 10
 LONGEST_PASSWORD = 1024
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")

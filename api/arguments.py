@@ -1,18 +1,19 @@
 """What the commands of the command line have in common: their arguments, and how they answer."""
 
+from __future__ import annotations
+
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from analysis.fit_json import strict_json
-from api.datasets import dataset_names, find_datasets
-from api.settings import InstrumentSettings
 from api.terminal import screen
 from goniometer.errors import InputError
-from goniometer.store import Store
-from goniometer.tables import BENCH
+
+if TYPE_CHECKING:
+    from api.settings import InstrumentSettings
+    from goniometer.store import Store
 
 DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
 DatabaseFile = Annotated[
@@ -30,6 +31,8 @@ DATABASE = "goniometer.db"
 
 def chosen_dataset(store: Store, name: str) -> int:
     """Id of the dataset `name`; of several of one sample the newest, which is said on stderr. Raises `NotInStore`."""
+    from api.datasets import dataset_names, find_datasets
+
     *others, newest = find_datasets(store, name)
     if others:
         known = f"{', '.join(map(str, others))} and {newest}"
@@ -42,16 +45,22 @@ def chosen_dataset(store: Store, name: str) -> int:
 
 def emit(content: dict[str, Any]) -> None:
     """Print one JSON object on stdout, strict as the files are."""
+    from analysis.fit_json import strict_json
+
     sys.stdout.write(strict_json(content))
 
 
 def bench_of(named: str | None, settings: InstrumentSettings | None) -> str:
     """The bench that is meant: the one that is `named`, else that of the instrument file."""
+    from goniometer.tables import BENCH
+
     return named or (BENCH if settings is None else settings.bench)
 
 
 def existing(database: str) -> Store:
     """The database, which must be there: a command that only reads makes no empty one."""
+    from goniometer.store import Store
+
     if "://" not in database and not Path(database).exists():
         raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
     return Store.open(database)

@@ -3,6 +3,8 @@
 Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progress and messages to stderr.
 """
 
+from __future__ import annotations
+
 import asyncio
 import logging
 import os
@@ -11,15 +13,12 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from analysis.distributions import Distribution
+from analysis.choices import MODELS, Distribution, Engine, Weight
 from analysis.errors import AnalysisError
-from analysis.fits import MODELS
-from analysis.least_squares import Engine
-from analysis.loew import Weight
 from api.arguments import (
     DATABASE,
     AsJson,
@@ -45,28 +44,15 @@ from api.cli_serve import register as add_serve
 from api.cli_simulate import simulate
 from api.cli_stability import register as add_stability
 from api.cli_tradeoff import register as add_tradeoff
-from api.demo import demo as run_demo
-from api.derive import slug, write_text
 from api.display import called, duration, progress_display, span
-from api.executor import processes
 from api.logged import Logged
-from api.outcome import STATED, SampleOutcome, outcomes, remarks, table
-from api.preview import drawing, preview
-from api.products import HowToFit, fit_datasets, fit_lines, report_dataset
-from api.service import Watch, active_scan, diagnose, run
-from api.settings import load_instrument
 from api.terminal import Terminal, ask_to_mount, screen, wait
 from drivers.errors import DriverError
-from goniometer import look_up
-from goniometer.campaign_file import load_campaign
-from goniometer.dataset import kind_of
-from goniometer.dataset_file import last_file
-from goniometer.duration import DEAD_TIME
 from goniometer.errors import GoniometerError
-from goniometer.exposure import below_wanted
-from goniometer.plan_spec import ORDINARY
-from goniometer.records import ACTIVE_PHASES, Command
-from goniometer.store import Store
+
+if TYPE_CHECKING:
+    from api.outcome import SampleOutcome
+    from goniometer.records import Command
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
@@ -99,6 +85,10 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """The whole job on the simulated bench: scan, calibrate, fit, report and export three samples."""
+    from api.demo import demo as run_demo
+    from api.outcome import STATED
+    from api.service import Watch
+
     with progress_display(screen) as (show, note):
         result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount), context.obj))
     if as_json:
@@ -128,6 +118,13 @@ def run_command(
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
+    from api.derive import slug
+    from api.outcome import STATED, outcomes
+    from api.service import Watch, run
+    from api.settings import load_instrument
+    from goniometer.campaign_file import load_campaign
+    from goniometer.store import Store
+
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
     store = Store.open(database, bench_of(bench, settings))
@@ -163,6 +160,9 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check every device: open it, read it, turn it a degree, and say in one line each what is wrong."""
+    from api.service import diagnose
+    from api.settings import load_instrument
+
     if instrument:
         screen.print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
     findings = wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
@@ -185,6 +185,8 @@ def _fail_for(failures: tuple[str, ...]) -> None:
 
 
 def _show(samples: list[SampleOutcome]) -> None:
+    from api.outcome import remarks, table
+
     out = Terminal()
     out.print(table(samples))
     for line in remarks(samples):
@@ -199,6 +201,13 @@ def plan(
     as_json: AsJson = False,
 ) -> None:
     """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
+    from api.derive import write_text
+    from api.preview import drawing, preview
+    from api.settings import load_instrument
+    from goniometer.campaign_file import load_campaign
+    from goniometer.duration import DEAD_TIME
+    from goniometer.plan_spec import ORDINARY
+
     wanted = load_campaign(campaign)
     settings = None if instrument is None else load_instrument(instrument)
     motion = ORDINARY if settings is None else settings.motion
@@ -221,6 +230,12 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """What is in the database, and what is running."""
+    from goniometer import look_up
+    from goniometer.dataset import kind_of
+    from goniometer.dataset_file import last_file
+    from goniometer.exposure import below_wanted
+    from goniometer.records import ACTIVE_PHASES
+
     store = existing(database)
     names, running = store.campaigns(), look_up.scans_in_phases(store, ACTIVE_PHASES)
     chosen = sorted({*list(names)[-last:], *(scan.campaign_id for scan in running)})
@@ -282,6 +297,8 @@ def status(
 
 def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
     def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
+        from api.service import active_scan
+
         store = existing(database)
         scan = active_scan(store, bench)
         store.request(scan.id, verb)
@@ -321,6 +338,9 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Fit datasets again and store the fits beside the earlier ones; several are fitted at once."""
+    from api.executor import processes
+    from api.products import HowToFit, fit_datasets, fit_lines
+
     store = existing(database)
     how = HowToFit(engine, distribution, weight, conductor)
     wanted = list(dict.fromkeys(chosen_dataset(store, each) for each in dataset))
@@ -359,6 +379,8 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write the report of a dataset: one self-contained HTML file with all figures."""
+    from api.products import report_dataset
+
     store = existing(database)
     tell_export(report_dataset(store, chosen_dataset(store, dataset), path), as_json=as_json)
 

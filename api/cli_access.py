@@ -8,14 +8,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from api import audit
-from api.accounts import Role, add_user, all_users, remove_user, set_disabled, set_password, set_role
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
+from api.choices import FIRST_USER, Role
 from api.logged import Logged
 from api.terminal import Terminal
-from api.tokens import FIRST_USER, all_tokens, create_token, ensure_first_user, revoke_token, token
 from goniometer.errors import InputError
-from goniometer.store import Store
 
 user_app = typer.Typer(help="Who may use the service.")
 token_app = typer.Typer(help="Tokens, with which scripts use the service in somebody's name.")
@@ -39,6 +36,9 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Let somebody in; asks for a password, or reads it from a pipe."""
+    from api.accounts import add_user
+    from goniometer.store import Store
+
     store = Store.open(database)
     password = None if no_password else _new_password(name)
     made = add_user(store, name, role, password)
@@ -48,6 +48,8 @@ def add(
 @user_app.command(name="list")
 def list_users(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Everybody who may use the service."""
+    from api.accounts import all_users
+
     users = [asdict(user) for user in all_users(existing(database))]
     _tell_table("users", users, as_json=as_json)
 
@@ -60,6 +62,8 @@ def role(
     as_json: AsJson = False,
 ) -> None:
     """Give somebody another role; it counts at once."""
+    from api.accounts import set_role
+
     store = existing(database)
     set_role(store, name, role)
     _tell({"name": name, "role": role}, f"{name} may use the service as {role}.", as_json=as_json)
@@ -68,6 +72,8 @@ def role(
 @user_app.command(cls=Logged)
 def password(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Give somebody another password, asked for or read from a pipe; their sessions end."""
+    from api.accounts import set_password
+
     store = existing(database)
     set_password(store, name, _new_password(name))
     _tell({"name": name}, f"{name} has another password.", as_json=as_json)
@@ -76,6 +82,8 @@ def password(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = Fa
 @user_app.command(cls=Logged)
 def disable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Keep somebody out, at once; what they are and their tokens are kept."""
+    from api.accounts import set_disabled
+
     store = existing(database)
     set_disabled(store, name, disabled=True)
     _tell({"name": name, "disabled": True}, f"{name} is kept out.", as_json=as_json)
@@ -84,6 +92,8 @@ def disable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = Fal
 @user_app.command(cls=Logged)
 def enable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Let somebody in again who was kept out."""
+    from api.accounts import set_disabled
+
     store = existing(database)
     set_disabled(store, name, disabled=False)
     _tell({"name": name, "disabled": False}, f"{name} is let in again.", as_json=as_json)
@@ -92,6 +102,8 @@ def enable(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = Fals
 @user_app.command(cls=Logged)
 def remove(name: Name, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Forget somebody, with their tokens and sessions; the log keeps their name."""
+    from api.accounts import remove_user
+
     store = existing(database)
     remove_user(store, name)
     _tell({"name": name, "removed": True}, f"{name} is forgotten.", as_json=as_json)
@@ -108,6 +120,9 @@ def create(
     as_json: AsJson = False,
 ) -> None:
     """Make a token; it is shown only now."""
+    from api.tokens import create_token, ensure_first_user
+    from goniometer.store import Store
+
     store = Store.open(database)
     ensure_first_user(store)
     text, made = create_token(store, user, label, role, None if days is None else timedelta(days=days))
@@ -121,6 +136,8 @@ def create(
 @token_app.command(name="list")
 def list_tokens(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Everybody's tokens; not what they are, which only who made them has seen."""
+    from api.tokens import all_tokens
+
     _tell_table("tokens", [asdict(each) for each in all_tokens(existing(database))], as_json=as_json)
 
 
@@ -131,6 +148,8 @@ def revoke(
     as_json: AsJson = False,
 ) -> None:
     """Make a token worthless, with the sessions that began with it."""
+    from api.tokens import revoke_token, token
+
     store = existing(database)
     owner = token(store, number).user
     revoke_token(store, number)
@@ -144,6 +163,8 @@ def show(
     as_json: AsJson = False,
 ) -> None:
     """The newest rows, newest last."""
+    from api import audit
+
     rows = [asdict(entry) for entry in reversed(audit.entries(existing(database), limit=count))]
     if as_json:
         emit({"log": rows})
@@ -158,6 +179,8 @@ def show(
 @log_app.command()
 def head(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """The hash of the last row: noted elsewhere, it shows later that nothing before it was changed or cut off."""
+    from api import audit
+
     last = audit.head(existing(database))
     if as_json:
         emit({"head": last})
@@ -172,6 +195,8 @@ def verify(
     as_json: AsJson = False,
 ) -> None:
     """Compute all hashes anew: whether a row was changed, removed or inserted since it was written."""
+    from api import audit
+
     verdict = audit.verify(existing(database), head)
     told = verdict.fault or f"All {verdict.rows} rows are as they were written; the last hash is {verdict.head}"
     _tell(asdict(verdict), f"{told}.", as_json=as_json)

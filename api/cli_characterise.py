@@ -1,31 +1,23 @@
 """Commands by which the bench measures itself: characterise signature, noise, alignment, repeatability, wavelength."""
 
+from __future__ import annotations
+
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, bench_of, emit
-from api.characterise import Found, characterise, check_figure, content, instrument_lines, lines, write_figure
 from api.logged import Logged
-from api.settings import load_instrument
 from api.terminal import Terminal, confirm, screen, wait
-from goniometer.certificate import NOMINAL_SRS99, PanelCertificate
-from goniometer.certificate_file import parse_certificate, read_certificate
-from goniometer.characterise import (
-    Mount,
-    Piece,
-    measure_alignment,
-    measure_noise,
-    measure_repeatability,
-    measure_signature,
-    measure_wavelengths,
-)
-from goniometer.constants import BenchData
-from goniometer.instrument import Instrument
-from goniometer.store import Store
+
+if TYPE_CHECKING:
+    from api.characterise import Found
+    from goniometer.certificate import PanelCertificate
+    from goniometer.characterise import Mount, Piece
+    from goniometer.instrument import Instrument
 
 REQUESTS: dict[Piece, tuple[str, str]] = {
     "mirror": ("the mirror is mounted", "Mount the mirror, check that it lies flat against the holder"),
@@ -66,6 +58,8 @@ def signature(
     as_json: AsJson = False,
 ) -> None:
     """Instrument signature: what the bench makes of a mirror, from its peak down to the floor."""
+    from goniometer.characterise import measure_signature
+
     _characterise(partial(measure_signature, theta_in=theta_in), instrument, database, output, seed, as_json=as_json)
 
 
@@ -83,6 +77,10 @@ def noise(
     as_json: AsJson = False,
 ) -> None:
     """Noise-equivalent and stray-light-equivalent BRDF over wavelength, for one exposure."""
+    from goniometer.certificate import NOMINAL_SRS99
+    from goniometer.certificate_file import parse_certificate, read_certificate
+    from goniometer.characterise import measure_noise
+
     panel: PanelCertificate = NOMINAL_SRS99
     if certificate is not None:
         panel = parse_certificate(read_certificate(certificate), str(certificate))
@@ -99,6 +97,8 @@ def alignment(
     as_json: AsJson = False,
 ) -> None:
     """Zeros of both stages, from a mirror and from the edges of the blocked sector."""
+    from goniometer.characterise import measure_alignment
+
     _characterise(measure_alignment, instrument, database, output, seed, as_json=as_json)
 
 
@@ -113,6 +113,8 @@ def repeatability(
     as_json: AsJson = False,
 ) -> None:
     """How well both stages come back to the same direction, on the flank of a mirror's peak."""
+    from goniometer.characterise import measure_repeatability
+
     measure = partial(measure_repeatability, theta_in=theta_in, returns=returns)
     _characterise(measure, instrument, database, output, seed, as_json=as_json)
 
@@ -126,6 +128,8 @@ def wavelength(
     as_json: AsJson = False,
 ) -> None:
     """The wavelength scale against the known lines of a mercury-argon lamp."""
+    from goniometer.characterise import measure_wavelengths
+
     _characterise(measure_wavelengths, instrument, database, output, seed, as_json=as_json)
 
 
@@ -145,6 +149,11 @@ def _characterise(
     as_json: bool,
 ) -> None:
     """Run a measurement, keep its result, tell it, and draw it."""
+    from api.characterise import characterise, check_figure, content, instrument_lines, lines, write_figure
+    from api.settings import load_instrument
+    from goniometer.constants import BenchData
+    from goniometer.store import Store
+
     if output is not None:
         check_figure(output)
     settings = load_instrument(instrument) if instrument else None

@@ -5,12 +5,7 @@ from typing import Annotated
 
 import typer
 
-from analysis.asked import scene_weights
-from analysis.choose_report import choice_body, summary, verified_lines
-from analysis.fit_json import strict_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
-from api.derive import write_rung, write_text
 from api.simulations import Page, write_page
 from api.terminal import Terminal
 
@@ -42,6 +37,12 @@ def choose_command(
     as_json: AsJson = False,
 ) -> None:
     """The simplest model whose colours in a scene stay within a tolerance, and why each cheaper one does not do."""
+    from analysis.asked import scene_weights
+    from analysis.choose_report import choice_body, summary, verified_lines
+    from analysis.fit_json import strict_json
+    from api.choose import choice_content, choose_model, first_pass, mitsuba_is_there
+    from api.derive import write_rung, write_text
+
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)
     seen = rendering and mitsuba_is_there()

@@ -1,23 +1,23 @@
 """The commands that keep the database: what is in it is neither lost nor left behind."""
 
+from __future__ import annotations
+
 import dataclasses
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api import audit
 from api.arguments import DATABASE, AsJson, emit, existing
 from api.logged import Logged, account
 from api.terminal import Terminal
-from goniometer.archiving import Moved, archive_scan, finished_before, give_back, unarchive_scan
-from goniometer.backup import back_up, restore
-from goniometer.database import Database, shown_place
 from goniometer.errors import InputError, StoreOutdated
-from goniometer.integrity import Findings, check
-from goniometer.store import Store
-from goniometer.upgrade import upgrade
+
+if TYPE_CHECKING:
+    from goniometer.archiving import Moved
+    from goniometer.integrity import Findings
+    from goniometer.store import Store
 
 db = typer.Typer(help="Keep the database: back it up, restore, check, upgrade and archive it.")
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
@@ -36,6 +36,9 @@ def backup_command(
     as_json: AsJson = False,
 ) -> None:
     """Copy the database to a file, also while a campaign runs; the copy is checked before it gets its name."""
+    from goniometer.backup import back_up
+    from goniometer.database import Database, shown_place
+
     store = Database.as_it_is(database)
     back_up(store, target)
     store.close()
@@ -54,6 +57,11 @@ def restore_command(
     as_json: AsJson = False,
 ) -> None:
     """Let the database be what a backup holds, once the backup is seen to be whole."""
+    from api import audit
+    from goniometer.backup import restore
+    from goniometer.database import shown_place
+    from goniometer.store import Store
+
     kept = restore(backup, database, replace=replace)
     lines = [f"{shown_place(database)} is what {backup} holds."]
     if kept is not None:
@@ -74,6 +82,8 @@ def restore_command(
 @db.command(name="check")
 def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Read the whole database and say in one line each what is wrong."""
+    from goniometer.database import shown_place
+
     found = examine(database)
     lines = [f"{fault}." for fault in found.faults] or [
         f"{shown_place(database)} is whole: {found.exposures} raw exposures are as they were written, "
@@ -91,6 +101,9 @@ def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> 
 @db.command(name="upgrade", cls=Logged)
 def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Bring the database of an older version to this one: all of it or nothing, after a backup beside it."""
+    from goniometer.database import shown_place
+    from goniometer.upgrade import upgrade
+
     done = upgrade(database)
     lines = done.steps or [f"{shown_place(database)} is of this version already."]
     if done.backup is not None:
@@ -110,6 +123,8 @@ def archive_command(
     as_json: AsJson = False,
 ) -> None:
     """Move raw counts of finished scans to HDF5 files, one a scan, from which they are read on as before."""
+    from goniometer.archiving import archive_scan, finished_before
+
     store = existing(database)
     if (scan is None) == (before is None):
         raise InputError("Say --scan or --before; the one names scans, the other a day")
@@ -125,11 +140,15 @@ def unarchive_command(
     as_json: AsJson = False,
 ) -> None:
     """Bring raw counts back into the database; their files are left where they are."""
+    from goniometer.archiving import unarchive_scan
+
     store = existing(database)
     _tell_moved(store, [unarchive_scan(store, number) for number in scan], as_json=as_json)
 
 
 def _tell_moved(store: Store, moved: list[Moved], *, as_json: bool) -> None:
+    from goniometer.archiving import give_back
+
     smaller = give_back(store)
     freed, written = sum(each.freed for each in moved), sum(each.octets for each in moved)
     lines = [f"Scan {each.scan_id}: {each.path}, {each.octets / 1e6:.1f} MB." for each in moved]
@@ -145,6 +164,10 @@ def _tell_moved(store: Store, moved: list[Moved], *, as_json: bool) -> None:
 
 def examine(where: str) -> Findings:
     """Everything that is wrong with a database, the log of who did what included."""
+    from api import audit
+    from goniometer.database import Database
+    from goniometer.integrity import check
+
     database = Database.as_it_is(where)
     try:
         found = check(database)

@@ -1,19 +1,22 @@
 """The command that writes a dataset in a format of others."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from analysis.brdf_fit import BRDF_MODELS
-from analysis.bsdf_search import Budget
+from analysis.choices import BRDF_MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.derive import Export
-from api.exports import FORMATS, Options, export_dataset
+from api.choices import WRITTEN
 from api.logged import Logged
 from api.terminal import Terminal
 
-_ABOUT = "; ".join(f"{name}: {each.about}" for name, each in FORMATS.items())
+if TYPE_CHECKING:
+    from api.derive import Export
+
+_ABOUT = "; ".join(f"{name}: {about}" for name, about in WRITTEN.items())
 
 
 def register(app: typer.Typer) -> None:
@@ -45,14 +48,16 @@ def export(
     ] = None,
     budget: Annotated[
         float, typer.Option(min=1e-4, max=1, help="mitsuba: relative error that 99 of 100 directions may have.")
-    ] = Budget.error,
+    ] = USUAL_ERROR,
     colour_budget: Annotated[
         float, typer.Option(min=0.01, help="mitsuba: dE00 that 99 of 100 directions may have.")
-    ] = Budget.colour,
+    ] = USUAL_COLOUR_ERROR,
     database: DatabaseFile = DATABASE,
     as_json: AsJson = False,
 ) -> None:
     """Write a dataset, its fits, or its fitted model for a renderer, to a file."""
+    from api.exports import Options, export_dataset
+
     store = existing(database)
     said = Options(
         raw=raw,

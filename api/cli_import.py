@@ -1,19 +1,19 @@
 """The command that imports what was measured elsewhere."""
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
 import typer
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.imports import Request, imported_file
 from api.logged import Logged
-from api.quality import quality, quality_lines
 from api.terminal import Terminal
-from goniometer.dataset import Dataset
-from goniometer.delimited import Quantity
-from goniometer.store import Store
+from goniometer.choices import Quantity
+
+if TYPE_CHECKING:
+    from goniometer.dataset import Dataset
 
 
 def register(app: typer.Typer) -> None:
@@ -69,6 +69,10 @@ def import_command(
     as_json: AsJson = False,
 ) -> None:
     """Import a BRDF that was measured elsewhere as a dataset of its own; what the file does not say, you state."""
+    from api.imports import Request, imported_file
+    from api.quality import quality, quality_lines
+    from goniometer.store import Store
+
     asked = Request(
         path=file,
         sample=sample,
@@ -100,6 +104,8 @@ def import_command(
 
 
 def _summary(file: Path, made: int, dataset: Dataset) -> str:
+    import numpy as np
+
     f = np.where(dataset.brdf == 0, np.nan, np.abs(dataset.brdf))
     noise, total = (np.nanmedian(u / f) for u in (dataset.u_counts, dataset.u))
     return (

@@ -1,20 +1,21 @@
 """`goniometer photos`: what macro photographs under light from many angles say of a surface."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from analysis.photo_page import photo_page, photo_remarks
-from analysis.photo_statistics import PhotoStatistics, photo_statistics
 from api.arguments import AsJson, emit
-from api.derive import make_folder, write_text
 from api.logged import Logged
 from api.terminal import Terminal
-from goniometer.budget import COVERAGE_FACTOR
-from goniometer.photos import PhotoSeries, read_series
+
+if TYPE_CHECKING:
+    from analysis.photo_statistics import PhotoStatistics
+    from goniometer.photos import PhotoSeries
 
 
 def register(app: typer.Typer) -> None:
@@ -33,6 +34,11 @@ def photos(
     as_json: AsJson = False,
 ) -> None:
     """Mean colours, redness and speckle of macro photographs under light from many angles."""
+    from analysis.photo_page import photo_page, photo_remarks
+    from analysis.photo_statistics import photo_statistics
+    from api.derive import make_folder, write_text
+    from goniometer.photos import read_series
+
     read = [read_series(file, inset) for file in series]
     found = [photo_statistics(one) for one in read]
     written = None
@@ -53,6 +59,8 @@ def photos(
 
 
 def _content(file: Path, series: PhotoSeries, found: list[PhotoStatistics]) -> dict[str, Any]:
+    from analysis.photo_page import photo_remarks
+
     return {
         "file": str(file),
         "sample": series.sample,
@@ -71,6 +79,8 @@ def _content(file: Path, series: PhotoSeries, found: list[PhotoStatistics]) -> d
 
 
 def _rows(series: PhotoSeries, found: list[PhotoStatistics]) -> Table:
+    from goniometer.budget import COVERAGE_FACTOR
+
     rows = Table(title=f"{series.sample}, camera at {series.camera_angle:g}°", title_justify="left")
     for head in ("light", "over panel", "red over blue", "dE00 from neutral", "contrast", "saturated"):
         rows.add_column(head, justify="right")

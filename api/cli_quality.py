@@ -5,23 +5,9 @@ from typing import Annotated
 
 import typer
 
-from analysis.wording import words
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.datasets import make_dataset, recalibrate, uncalibrated_scan
 from api.logged import Logged
-from api.quality import (
-    budget_content,
-    budget_lines,
-    budget_rows,
-    dataset_budget,
-    quality,
-    quality_lines,
-    settings_of,
-    write_budget,
-)
 from api.terminal import Terminal
-from goniometer.certificate import Override
-from goniometer.certificate_file import parse_certificate, read_certificate
 from goniometer.errors import InputError
 
 
@@ -46,6 +32,9 @@ def budget(
     as_json: AsJson = False,
 ) -> None:
     """What the uncertainty of a measured value consists of, at the measured direction nearest to the one given."""
+    from analysis.wording import words
+    from api.quality import budget_content, budget_lines, budget_rows, dataset_budget, write_budget
+
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)
     read = store.dataset(dataset_id)
@@ -66,6 +55,8 @@ def budget(
 
 def check(dataset: DatasetName, database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     """Sanity checks of a dataset and its flagged points; fails where a check failed."""
+    from api.quality import quality, quality_lines
+
     store = existing(database)
     found = quality(store, chosen_dataset(store, dataset))
     if as_json:
@@ -93,6 +84,11 @@ def calibrate(
     as_json: AsJson = False,
 ) -> None:
     """Calibrate the raw data of a dataset anew, or of a measured sample that has none; older datasets stay."""
+    from api.datasets import make_dataset, recalibrate, uncalibrated_scan
+    from api.quality import quality, quality_lines, settings_of
+    from goniometer.certificate import Override
+    from goniometer.certificate_file import parse_certificate, read_certificate
+
     override = None
     if override_name is not None and override_reason is not None:
         override = Override(override_name, override_reason)

@@ -1,18 +1,19 @@
 """`goniometer render`: what the shift changes of the look of a material."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from analysis.page import MODEL_NAMES
-from analysis.render import SEEDS
-from analysis.render_report import comparison_body, comparison_lines, time_line
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.derive import slug
-from api.render import RenderedDataset, Through, render_dataset
+from api.choices import Through
 from api.simulations import Page, write_page
 from api.terminal import Terminal
+
+if TYPE_CHECKING:
+    from api.render import RenderedDataset
 
 
 def register(app: typer.Typer) -> None:
@@ -41,6 +42,12 @@ def render_command(
     as_json: AsJson = False,
 ) -> None:
     """Render Cook-Torrance without and with shift side by side, and compare their colours and render times."""
+    from analysis.page import MODEL_NAMES
+    from analysis.render import SEEDS
+    from analysis.render_report import comparison_body, comparison_lines, time_line
+    from api.derive import slug
+    from api.render import render_dataset
+
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)
     folder = output or Path(f"render-{slug(store.dataset(dataset_id).sample)}")
@@ -70,6 +77,8 @@ def render_command(
 
 
 def _content(found: RenderedDataset, samples: int) -> dict[str, object]:
+    from analysis.render import SEEDS
+
     comparison = found.comparison
     return {
         "sample": found.sample,

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from api.arguments import DATABASE, BenchName, DatabaseFile, bench_of
-from api.settings import load_instrument
 from goniometer.errors import InputError
 
 
@@ -43,9 +42,10 @@ def register(app: typer.Typer) -> None:
         bench: BenchName = None,
     ) -> None:
         """Serve REST, events and the pages of the bench until it is stopped."""
-        from api.retention import Retention  # noqa: PLC0415
-        from api.serve import Listen  # noqa: PLC0415  (FastAPI takes half a second)
-        from api.serve import serve as run  # noqa: PLC0415
+        from api.retention import Retention
+        from api.serve import Listen
+        from api.serve import serve as run
+        from api.settings import load_instrument
 
         settings = load_instrument(instrument) if instrument else None
         if settings is not None and mount_by_itself:

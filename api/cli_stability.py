@@ -1,28 +1,22 @@
 """`goniometer stability`: where fits converge, degrade and break, and whether they say so."""
 
+from __future__ import annotations
+
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import track
 
 from api.arguments import AsJson, emit
-from api.executor import processes
 from api.simulations import Page, write_page
-from api.stability import (
-    HOW_TO_READ,
-    TITLE,
-    percent,
-    rows_of,
-    silent_line,
-    stability_body,
-    stability_content,
-)
 from api.terminal import Terminal, screen
-from simulators.ensemble import Cell, cells, ensemble, jobs
-from simulators.regimes import REGIMES
-from simulators.stability import METHODS, Run
+from simulators.choices import ABOUT, METHODS
+
+if TYPE_CHECKING:
+    from simulators.ensemble import Cell
+    from simulators.stability import Run
 
 _LEVEL, _CELL = 36, 11
 """Characters of a column of the map."""
@@ -36,7 +30,7 @@ def register(app: typer.Typer) -> None:
 def stability(
     context: typer.Context,
     regime: Annotated[
-        list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(REGIMES)}.", show_default=False)
+        list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(ABOUT)}.", show_default=False)
     ] = None,
     method: Annotated[
         list[str] | None, typer.Option(help=f"Only this; may be repeated: {'; '.join(METHODS)}.", show_default=False)
@@ -53,7 +47,11 @@ def stability(
     as_json: AsJson = False,
 ) -> None:
     """Fit difficult measurements of known truth with every method, and draw the map of what fails and what says so."""
-    wanted = jobs(regime or list(REGIMES), method or list(METHODS), runs)
+    from api.executor import processes
+    from api.stability import TITLE, stability_body, stability_content
+    from simulators.ensemble import cells, ensemble, jobs
+
+    wanted = jobs(regime or list(ABOUT), method or list(METHODS), runs)
     with processes(context.obj, workers) as executor:
         made = ensemble(wanted, executor, resume)
         found = list(track(made, "Fitting", len(wanted), console=screen, disable=not screen.is_terminal))
@@ -69,6 +67,8 @@ def stability(
 
 
 def _tell(found: list[Cell], silent: list[Run], written: Path | None) -> None:
+    from api.stability import HOW_TO_READ, rows_of, silent_line
+
     out = Terminal()
     methods = [name for name in METHODS if any(cell.method == name for cell in found)]
     rows = rows_of(found)
@@ -94,5 +94,7 @@ def _tell(found: list[Cell], silent: list[Run], written: Path | None) -> None:
 
 
 def _shown(cell: Cell) -> str:
+    from api.stability import percent
+
     text = f"{percent(cell.right)}/{percent(cell.trusted)}"
     return f"x{cell.silent} {text}" if cell.silent else text

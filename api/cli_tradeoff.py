@@ -1,14 +1,18 @@
 """`goniometer tradeoff`: charts of speed against accuracy."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from analysis.tradeoff import Chart, charts_json
 from api.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
+from api.choices import Kind
 from api.simulations import Page, write_page
 from api.terminal import Terminal, screen
-from api.tradeoff import TITLE, Kind, chapters, charts
+
+if TYPE_CHECKING:
+    from analysis.tradeoff import Chart
 
 
 def register(app: typer.Typer) -> None:
@@ -32,6 +36,9 @@ def tradeoff_command(
     as_json: AsJson = False,
 ) -> None:
     """Chart speed against accuracy on this machine: scans, fits, models and renderings, simulations."""
+    from analysis.tradeoff import charts_json
+    from api.tradeoff import TITLE, chapters, charts
+
     own = None
     if dataset is not None:
         store = existing(database)

@@ -1,20 +1,25 @@
 """What an operator sees while a campaign runs: a line per scan on a terminal, plain lines in a log."""
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
-from goniometer.progress import Progress
-from goniometer.records import Expected, Kind
+if TYPE_CHECKING:
+    from goniometer.progress import Progress
+    from goniometer.records import Expected, Kind
+
 
 LOG_INTERVAL = 5.0
 """Seconds between two lines of progress in a log."""
 
-Show = Callable[[Progress], None]
+Show = Callable[["Progress"], None]
 Note = Callable[[str], None]
 
 

@@ -52,8 +52,6 @@ Write = Callable[[Store, int, Path, Options], Export]
 class Format:
     """How a dataset is written in one format."""
 
-    about: str
-    """What the file holds, for the help of the command."""
     ending: str
     """Of the file, without a dot."""
     write: Write
@@ -103,31 +101,27 @@ def _write_mitsuba(store: Store, dataset_id: int, path: Path, options: Options) 
 
 
 FORMATS: dict[str, Format] = {
-    "json": Format("all fits", "json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
-    "hdf5": Format("the dataset with uncertainty, flags and lineage, NeXus-style", "h5", _write_hdf5, ("raw",)),
-    "csv": Format("the same, one value a row", "csv", _text("csv", dataset_to_csv)),
-    "parquet": Format("the same, for data frames", "parquet", _content("parquet", dataset_to_parquet)),
-    "paper": Format("the JSON of points of the paper's authors", "json", _write_paper),
-    "bird": Format("universal BRDF JSON of the BiRD project", "brdf", _write_bird, ("about",)),
+    "json": Format("json", lambda store, dataset_id, path, _: write_fits(store, dataset_id, path)),
+    "hdf5": Format("h5", _write_hdf5, ("raw",)),
+    "csv": Format("csv", _text("csv", dataset_to_csv)),
+    "parquet": Format("parquet", _content("parquet", dataset_to_parquet)),
+    "paper": Format("json", _write_paper),
+    "bird": Format("brdf", _write_bird, ("about",)),
     "bluesky": Format(
-        "documents of bluesky's event model, one a line",
         "jsonl",
         lambda store, dataset_id, path, _: write_text("bluesky", path, bluesky_lines(store, dataset_id)),
     ),
     "package": Format(
-        "all of it as a zip or a folder that is ready to be published",
         "zip",
         _write_package,
         ("license", "creators", "attached", "about"),
     ),
     "mitsuba": Format(
-        "a .bsdf file for Mitsuba 3 and PBRT, with a scene that shows it",
         "bsdf",
         _write_mitsuba,
         ("model", "budget", "colour_budget"),
     ),
     "mitsuba-plugin": Format(
-        "a scene for Mitsuba 3 with the exact model, by the plugin ggx_shift, which is written beside it",
         "xml",
         lambda store, dataset_id, path, options: write_plugin_scene(store, dataset_id, path, options.model),
         ("model",),

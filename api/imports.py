@@ -7,9 +7,10 @@ from typing import Literal
 
 from goniometer.bird_json import parsed_json, read_bird_json
 from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.choices import Quantity
 from goniometer.dataset import Dataset
 from goniometer.dataset_file import reloaded
-from goniometer.delimited import Meaning, Quantity, read_delimited
+from goniometer.delimited import Meaning, read_delimited
 from goniometer.errors import DataFileError, OptionError
 from goniometer.imported import Stated, imported_dataset
 from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied

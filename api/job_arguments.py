@@ -5,23 +5,20 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from analysis.bsdf_search import Budget
-from analysis.distributions import Distribution
-from analysis.fits import MODELS
+from analysis.choices import MODELS, Distribution, Engine, Weight
 from analysis.fresnel import load_conductor
-from analysis.least_squares import Engine
-from analysis.loew import Weight
 from api.certificates import known_certificate
+from api.choices import Kind as ChartKind
 from api.exports import FORMATS
 from api.foreign_scene import check_foreign_scene
 from api.products import conductor_name
 from api.quality import settings_of
-from api.tradeoff import Kind as ChartKind
-from goniometer.delimited import Quantity
+from goniometer.choices import Quantity
 from goniometer.errors import InputError
 from goniometer.store import Store
+from simulators.choices import METHODS
 from simulators.ensemble import jobs
 from simulators.regimes import REGIMES
-from simulators.stability import METHODS
 
 
 class Arguments(BaseModel):

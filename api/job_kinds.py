@@ -8,8 +8,8 @@ from typing import Any
 from analysis.choose_report import choice_body
 from analysis.page import titled_page
 from analysis.tradeoff import charts_json
-from api.accounts import Role
 from api.certificates import known_certificate
+from api.choices import Role
 from api.choose import choice_content, choice_pictures, choose_model, mitsuba_is_there
 from api.datasets import recalibrate
 from api.derive import Export, make_folder, slug, write_text
@@ -37,9 +37,9 @@ from api.tradeoff import chapters, charts
 from api.uploads import uploaded
 from goniometer.certificate import Override
 from goniometer.store import Store
+from simulators.choices import METHODS
 from simulators.ensemble import cells, ensemble, jobs
 from simulators.regimes import REGIMES
-from simulators.stability import METHODS
 
 Tell = Callable[[float | None, str], None]
 """Told which part of the work is done (None: nobody knows) and what is being done."""

@@ -9,10 +9,8 @@ from typer import Exit
 from typer.core import TyperCommand
 
 from analysis.errors import AnalysisError
-from api.audit import record
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreError
-from goniometer.store import Store
 
 
 class Logged(TyperCommand):
@@ -48,6 +46,9 @@ class Logged(TyperCommand):
 
 
 def _log(context: Any, outcome: str) -> None:
+    from api.audit import record
+    from goniometer.store import Store
+
     database = context.params.get("database")
     if database is None or not ("://" in str(database) or Path(database).exists()):
         return

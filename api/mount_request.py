@@ -1,6 +1,11 @@
 """What a person is asked to lay on the bench, in words."""
 
-from goniometer.records import Scan
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from goniometer.records import Scan
 
 
 def mount_request(scan: Scan) -> tuple[str, str]:

@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
-from analysis.brdf_fit import BRDF_MODELS
 from analysis.bsdf_search import Budget
-from analysis.distributions import Distribution
+from analysis.choices import BRDF_MODELS, MODELS, Distribution, Engine, Weight
 from analysis.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
-from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
-from analysis.least_squares import Engine
-from analysis.loew import Weight, weight_of
+from analysis.loew import weight_of
 from analysis.notation import roughly, with_uncertainty
 from analysis.report import NO_RUN
 from analysis.results import SampleAnalysis

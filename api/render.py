@@ -4,11 +4,10 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS
+from analysis.choices import BRDF_MODELS
 from analysis.export_mitsuba import describe, write_bsdf
 from analysis.export_plugin import limiting_words, plugin_material, plugin_scene
 from analysis.fits import fit_models, local_fit_for
@@ -20,14 +19,12 @@ from analysis.render_report import difference_picture, shown
 from analysis.rendered_model import of_fit
 from analysis.results import ModelFit
 from analysis.vase_scene import SceneFiles, vase_scene
+from api.choices import Through
 from api.derive import Export, make_folder, write_bytes, write_file
 from api.products import conductor_name, last_way
 from goniometer.dataset import Dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
-
-Through = Literal["plugin", "bsdf"]
-"""Whether a model is rendered by the plugin ggx_shift, or as a table by the plugin `measured`."""
 
 METAL = ("cook-torrance", "cook-torrance-shift")
 DIELECTRIC = ("dielectric", "dielectric-shift")

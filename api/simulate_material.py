@@ -1,18 +1,20 @@
 """`goniometer simulate material`: a dataset as what lies on the simulated bench."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from api.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.derive import slug, write_material
 from api.logged import Logged
 from api.terminal import Terminal
 from goniometer.errors import InputError
 from goniometer.material_file import MaterialFile
-from simulators.tabulated import Tabulated
-from simulators.tabulated_file import read_tabulated
+
+if TYPE_CHECKING:
+    from simulators.tabulated import Tabulated
 
 
 def register(app: typer.Typer) -> None:
@@ -27,6 +29,9 @@ def material_command(
     as_json: AsJson = False,
 ) -> None:
     """Write the BRDF of any dataset as a material that a campaign can lay on the simulated bench."""
+    from api.derive import slug, write_material
+    from simulators.tabulated_file import read_tabulated
+
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)
     read = store.dataset(dataset_id)

@@ -7,17 +7,10 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
-from analysis.fresnel import load_conductor
 from api.arguments import AsJson, emit
-from api.derive import make_folder
 from api.simulations import Micro, Pitch, Seed, Size, SurfaceName
 from api.terminal import Terminal, screen
 from goniometer.errors import InputError
-from simulators.camera import Sensor, fineness_for, lighting_for, scene
-from simulators.photo_session import ANGLES, CHECKED, convergence, take_series
-from simulators.sampling import refined
-from simulators.speckle import Lens
-from simulators.topography import topography
 
 CAMERA_ANGLE, MAGNIFICATION = 45.0, 1.0
 """Of the camera in degrees, and of its lens at its largest."""
@@ -43,6 +36,14 @@ def photos_command(
     as_json: AsJson = False,
 ) -> None:
     """Photograph an aluminium surface at 45 degrees under an LED at -70 to 70 degrees, by wave optics."""
+    from analysis.fresnel import load_conductor
+    from api.derive import make_folder
+    from simulators.camera import Sensor, fineness_for, lighting_for, scene
+    from simulators.photo_session import ANGLES, CHECKED, convergence, take_series
+    from simulators.sampling import refined
+    from simulators.speckle import Lens
+    from simulators.topography import topography
+
     made = topography(surface, size, pitch, seed, micro=micro)
     lens = Lens(f_number, MAGNIFICATION, CAMERA_ANGLE)
     lights = [lighting_for(made.field, lens, angle, led) for angle in ANGLES]

@@ -1,35 +1,28 @@
 """`goniometer simulate rays`: a surface on the virtual gonioreflectometer."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.progress import Progress
 
-from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.executor import threads
 from api.logged import Logged
-from api.products import conductor_name
-from api.ray_page import chapters, chosen
-from api.ray_results import computed, decomposition, lines, warnings
 from api.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
 from api.terminal import Terminal, screen
-from drivers.arrays import FloatArray
-from goniometer.database import shown_place
 from goniometer.errors import InputError
-from simulators.heights import roughness
-from simulators.ray_decomposition import CONVERGED, Change, coarser, convergence
-from simulators.ray_scan import Goniometer, RayScan, ray_scan
-from simulators.rays import terrain
-from simulators.topography import Topography, topography
 
-_WAVELENGTHS = np.arange(380.0, 991.0, 10.0)
-"""nm; of these, the ones that the table of the conductor covers."""
+if TYPE_CHECKING:
+    from analysis.fresnel import Conductor
+    from drivers.arrays import FloatArray
+    from simulators.ray_decomposition import Change
+    from simulators.ray_scan import Goniometer, RayScan
+    from simulators.topography import Topography
 
 _PATCHES = 4
 """Of a surface that is synthesised, unless said otherwise."""
@@ -75,6 +68,16 @@ def rays_command(
     as_json: AsJson = False,
 ) -> None:
     """Trace rays over a surface: in-plane BRDF by geometric optics, decomposed by the number of reflections."""
+    from analysis.fresnel import fresnel_conductor, load_conductor
+    from api.products import conductor_name
+    from api.ray_page import chapters
+    from api.ray_results import computed, decomposition, lines, warnings
+    from goniometer.database import shown_place
+    from simulators.heights import roughness
+    from simulators.ray_decomposition import CONVERGED
+    from simulators.ray_scan import Goniometer
+    from simulators.topography import topography
+
     metal = load_conductor(*conductor_name(conductor))
     wavelengths = _covered(metal)
     theta_in, theta_out = series("--incident", incident), series("--outgoing", outgoing)
@@ -131,11 +134,14 @@ def rays_command(
 
 def _covered(metal: Conductor) -> FloatArray:
     """The wavelengths that the table of a conductor has."""
-    found = _WAVELENGTHS[(metal.wavelengths[0] <= _WAVELENGTHS) & (metal.wavelengths[-1] >= _WAVELENGTHS)]
+    import numpy as np
+
+    wanted = np.arange(380.0, 991.0, 10.0)
+    found = wanted[(metal.wavelengths[0] <= wanted) & (metal.wavelengths[-1] >= wanted)]
     if found.size < 2:
         raise InputError(
             f"The table of {metal.name} covers {metal.wavelengths[0]:g} to {metal.wavelengths[-1]:g} nm, but rays are "
-            f"traced for {_WAVELENGTHS[0]:g} to {_WAVELENGTHS[-1]:g} nm; name another conductor."
+            f"traced for {wanted[0]:g} to {wanted[-1]:g} nm; name another conductor."
         )
     return np.asarray(found)
 
@@ -152,6 +158,12 @@ def _patches(name: str, wanted: int | None, make: Callable[[int], Topography]) -
 
 def _measured(made: list[Topography], asked: Goniometer, cluster: str | None) -> tuple[RayScan, tuple[Change, ...]]:
     """The scan, and what its figures would change with more of everything."""
+    from api.executor import threads
+    from api.ray_page import chosen
+    from simulators.ray_decomposition import coarser, convergence
+    from simulators.ray_scan import ray_scan
+    from simulators.rays import terrain
+
     fields = [each.field for each in made]
     fewer = replace(asked, theta_in=asked.theta_in[chosen(asked.theta_in.size, _CHECKED)])
     coarse = [terrain(coarser(field)) for field in fields]

@@ -1,21 +1,21 @@
 """`goniometer simulate surface`: topographies, their roughness, and what they look like."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
 from api.arguments import AsJson, emit
-from api.derive import make_folder, write_file
 from api.simulations import Micro, Page, Pitch, Seed, Size, write_page
-from api.surface_facts import Described, described, how_made, remark, shown
-from api.surface_page import one_surface, several_surfaces, title
 from api.terminal import Terminal
 from goniometer.errors import InputError
-from simulators.topography import topography
-from simulators.topography_file import write_topography
+
+if TYPE_CHECKING:
+    from api.surface_facts import Described
 
 SurfaceNames = Annotated[
     list[str],
@@ -45,6 +45,12 @@ def surface_command(
     as_json: AsJson = False,
 ) -> None:
     """Make or read surfaces and tell their roughness after ISO 25178, with the paper's beside it."""
+    from api.derive import make_folder, write_file
+    from api.surface_facts import described, how_made, remark
+    from api.surface_page import one_surface, several_surfaces, title
+    from simulators.topography import topography
+    from simulators.topography_file import write_topography
+
     if output is not None and (len(surfaces) > 1 or output.suffix.lower() != ".npz"):
         raise InputError(f"{output} cannot hold what is asked for; name one surface, and a file that ends in .npz.")
     found = [described(topography(surface, size, pitch, seed, micro=micro)) for surface in surfaces]
@@ -79,6 +85,8 @@ def _content(found: Described) -> dict[str, Any]:
 
 
 def _table(found: Described) -> Table:
+    from api.surface_facts import shown
+
     table = Table(title=found.surface.name, title_justify="left", box=None, pad_edge=False)
     for heading in ("", "value", "paper", "2 x pitch", "± (patch)", "meaning"):
         table.add_column(heading, justify="left" if heading in ("", "meaning") else "right")

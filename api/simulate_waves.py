@@ -1,33 +1,28 @@
 """`goniometer simulate waves`: the in-plane spectral BRDF of a surface by scalar wave optics."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich.progress import Progress
 
-from analysis.analyse import analyse
-from analysis.fresnel import load_conductor
-from analysis.local_fit import LEAST_WAVELENGTHS
 from api.arguments import DATABASE, AsJson, DatabaseFile, emit
-from api.executor import processes
 from api.logged import Logged
-from api.products import conductor_name
 from api.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
 from api.terminal import Terminal, screen
-from api.wave_page import page_body
-from drivers.arrays import FloatArray
-from goniometer.database import shown_place
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
-from simulators.computed import computed_dataset
-from simulators.diffraction import Coherence, seen_through
-from simulators.wave_convergence import CONVERGED, Convergence
-from simulators.wave_scan import FEWEST, SIDE_UM, STEP_UM, Setup, choose_patches
-from simulators.wave_simulation import WaveSimulation, equivalent_aperture, simulate
-from simulators.waves import Kernel
+from simulators.choices import FEWEST, SIDE_UM, STEP_UM, Kernel
+
+if TYPE_CHECKING:
+    from drivers.arrays import FloatArray
+    from simulators.diffraction import Coherence
+    from simulators.wave_convergence import Convergence
+    from simulators.wave_scan import Setup
+    from simulators.wave_simulation import WaveSimulation
 
 APERTURE = 1.0
 """Usual full angle of the detector's aperture, degrees."""
@@ -89,6 +84,16 @@ def waves_command(
 
     The way back to the lamp, which a detector blocks on a bench, is among the directions.
     """
+    from analysis.analyse import analyse
+    from analysis.fresnel import load_conductor
+    from analysis.local_fit import LEAST_WAVELENGTHS
+    from api.executor import processes
+    from api.products import conductor_name
+    from api.wave_page import page_body
+    from simulators.computed import computed_dataset
+    from simulators.wave_scan import Setup, choose_patches
+    from simulators.wave_simulation import simulate
+
     if multiple_shift is not None and not with_multiple:
         raise InputError("A shift of light that is reflected more than once needs that light: give --with-multiple.")
     metal = load_conductor(*conductor_name(conductor))
@@ -135,6 +140,8 @@ def waves_command(
 
 def _directions(incident: FloatArray, outgoing: FloatArray) -> tuple[FloatArray, FloatArray]:
     """theta_in and theta_out [points], degrees; no detector blocks a simulation."""
+    import numpy as np
+
     if incident[0] < 0 or incident[-1] > LARGEST_ANGLE or np.abs(outgoing).max() > LARGEST_ANGLE:
         raise InputError(
             f"Incident angles lie between 0 and {LARGEST_ANGLE:g} degrees, reflected ones between "
@@ -145,6 +152,8 @@ def _directions(incident: FloatArray, outgoing: FloatArray) -> tuple[FloatArray,
 
 
 def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
+    from simulators.diffraction import Coherence, seen_through
+
     if s_um is not None:
         if aperture is not None:
             raise InputError("An aperture and a coherence window say the same; give one of them.")
@@ -157,6 +166,9 @@ def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
 
 def _content(dataset_id: int, database: str, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
     """The result as JSON."""
+    from goniometer.database import shown_place
+    from simulators.wave_simulation import equivalent_aperture
+
     return {
         "dataset": dataset_id,
         "sample": found.computed.sample,
@@ -188,6 +200,11 @@ def _convergence(found: Convergence) -> dict[str, Any]:
 
 def _lines(dataset_id: int, found: WaveSimulation) -> list[str]:
     """The result for a person."""
+    import numpy as np
+
+    from simulators.computed import computed_dataset
+    from simulators.wave_convergence import CONVERGED
+
     computed = found.computed
     middle = int(np.argmin(np.abs(computed.wavelengths - 600)))
     dataset = computed_dataset(computed)

@@ -1,18 +1,19 @@
 """What the simulations of the command line have in common: which surface, and where results go."""
 
-from pathlib import Path
-from typing import Annotated
+from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
 import typer
 
-from analysis.page import titled_page
-from api.derive import Export, make_folder, write_text
-from drivers.arrays import FloatArray
 from goniometer.errors import InputError
-from goniometer.store import Store
-from simulators.computed import Computed, computed_dataset
-from simulators.topography import PITCH_UM, SIZE
+from simulators.choices import PITCH_UM, SIZE
+
+if TYPE_CHECKING:
+    from api.derive import Export
+    from drivers.arrays import FloatArray
+    from simulators.computed import Computed
 
 SurfaceName = Annotated[
     str,
@@ -37,6 +38,8 @@ MOST_VALUES = 1000
 
 def series(option: str, text: str) -> FloatArray:
     """Numbers, ascending, of "first:last:step" or "a,b,c"; raises `InputError` for another form."""
+    import numpy as np
+
     try:
         if ":" in text:
             first, last, step = map(float, text.split(":"))
@@ -56,10 +59,16 @@ def series(option: str, text: str) -> FloatArray:
 
 def store_computed(database: Path | str, computed: Computed) -> int:
     """Put a simulated BRDF into a database, as a dataset of no scan, and return its id."""
+    from goniometer.store import Store
+    from simulators.computed import computed_dataset
+
     return Store.open(database).add_dataset(None, computed_dataset(computed))
 
 
 def write_page(path: Path, title: str, body: list[str]) -> Export:
     """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
+    from analysis.page import titled_page
+    from api.derive import make_folder, write_text
+
     make_folder(path.resolve().parent)
     return write_text("page", path, titled_page(title, body))

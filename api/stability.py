@@ -8,9 +8,10 @@ from typing import Any
 
 from analysis.page import figure
 from analysis.stability_figure import MapCell, stability_map
+from simulators.choices import METHODS
 from simulators.ensemble import Cell
 from simulators.regimes import REGIMES
-from simulators.stability import METHODS, Run
+from simulators.stability import Run
 
 TITLE = "Stability of the fits"
 

@@ -1,20 +1,23 @@
 """The person at the terminal: what is asked of them, and how the signals that end a process end it properly."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import signal
 import sys
 import threading
 from collections.abc import Coroutine
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 from rich.text import Text
 
 from api.mount_request import mount_request
 from goniometer.errors import RunAborted
-from goniometer.records import Scan
-from goniometer.wording import inert
+
+if TYPE_CHECKING:
+    from goniometer.records import Scan
 
 Result = TypeVar("Result")
 
@@ -24,6 +27,8 @@ class Terminal(Console):
 
     def render_str(self, text: str, **how: Any) -> Text:
         """A text as it is shown, also that of a cell of a table."""
+        from goniometer.wording import inert
+
         return super().render_str(inert(text), **how)
 
 
@@ -68,12 +73,12 @@ async def confirm(state: str, request: str) -> None:
 def _forget_typed_ahead() -> None:
     """Throw away keys that were pressed before the question was asked: they are no answer to it."""
     if sys.platform == "win32":
-        import msvcrt  # noqa: PLC0415  (exists on Windows only)
+        import msvcrt
 
         while msvcrt.kbhit():
             msvcrt.getch()
     else:
-        import termios  # noqa: PLC0415  (exists elsewhere only)
+        import termios
 
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 

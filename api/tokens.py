@@ -15,7 +15,8 @@ from typing import Any, Literal
 
 from sqlalchemy import Row, Update, bindparam, delete, select, update
 
-from api.accounts import Role, add_user, all_users, at_least, lower, user
+from api.accounts import add_user, all_users, at_least, lower, user
+from api.choices import FIRST_USER, Role
 from goniometer.database import Database, insert_row
 from goniometer.errors import InputError, NotInStore, StoreError
 from goniometer.records import now
@@ -23,7 +24,6 @@ from goniometer.service_tables import sessions, tokens, users
 
 PREFIX = "gonio_"
 """Begins every token, so that one can be recognised where it should not be."""
-FIRST_USER = "local"
 IDLE = timedelta(hours=12)
 OLD = timedelta(days=7)
 log = logging.getLogger(__name__)

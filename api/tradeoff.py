@@ -1,7 +1,6 @@
 """Charts of speed against accuracy on this machine: which are made, and of what."""
 
 from collections.abc import Callable
-from enum import StrEnum
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from analysis.tradeoff import Chart
 from analysis.tradeoff_figure import tradeoff_chapter
 from analysis.tradeoff_fits import fit_charts
 from analysis.tradeoff_models import model_charts
+from api.choices import Kind
 from api.choose import mitsuba_is_there
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
@@ -23,15 +23,6 @@ from simulators.tradeoff_scans import scan_charts
 from simulators.tradeoff_simulations import simulation_charts
 
 TITLE = "Speed against accuracy"
-
-
-class Kind(StrEnum):
-    """What is charted."""
-
-    SCANS = "scans"
-    FITS = "fits"
-    MODELS = "models"
-    SIMULATIONS = "simulations"
 
 
 LARGEST_INCIDENT = 80.0

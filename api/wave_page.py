@@ -10,10 +10,10 @@ from analysis.notation import with_uncertainty
 from analysis.page import bullets, figure
 from analysis.results import SampleAnalysis
 from analysis.shown_colours import exposure_of
+from simulators.choices import Kernel
 from simulators.wave_convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
 from simulators.wave_scan import Setup
 from simulators.wave_simulation import MultiplePart, WaveSimulation, equivalent_aperture
-from simulators.waves import Kernel
 
 _KERNELS = {
     Kernel.HARVEY_SHACK: "The kernel is the generalised Harvey-Shack theory. It is not reciprocal: source and detector "

@@ -15,11 +15,9 @@ from typing import Literal
 import numpy as np
 
 from drivers.arrays import FloatArray
+from goniometer.choices import Quantity
 from goniometer.errors import DataFileError
 from goniometer.measured_table import MeasuredTable, gridded
-
-Quantity = Literal["brdf", "brdf-cos-in", "brdf-cos-out", "radiance-factor"]
-"""BRDF in 1/sr; BRDF times the cosine of the incident or of the reflected angle, 1/sr; or pi times the BRDF."""
 
 _ANGLES = ("theta_in", "theta_out")
 _LONG = (*_ANGLES, "wavelength", "brdf")

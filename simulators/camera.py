@@ -17,11 +17,12 @@ from analysis.directions import Aperture, in_plane, round_aperture
 from analysis.fresnel import Conductor, fresnel_conductor
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
+from simulators.choices import Kernel
 from simulators.diffraction import Coherence
 from simulators.heights import HeightField, complete
 from simulators.sampling import CoarseSampling, Sampling, sampling
 from simulators.speckle import Lens, Lighting, PhaseScreen, image_points, phase_screen, squared_field
-from simulators.waves import Kernel, obliquity
+from simulators.waves import obliquity
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 """The camera sees no other wavelengths: its filters pass less than a thousandth of what they pass at best."""

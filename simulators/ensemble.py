@@ -18,8 +18,9 @@ import drivers
 import goniometer
 import simulators
 from goniometer.errors import DataFileError, InputError
+from simulators.choices import METHODS
 from simulators.regimes import REGIMES
-from simulators.stability import METHODS, Estimate, Job, Run, run
+from simulators.stability import Estimate, Job, Run, run
 
 AT_ONCE = 4
 """Runs that are submitted together: a tenth of a second of work or more."""

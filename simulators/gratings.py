@@ -5,13 +5,13 @@ density proportional to d^q gives spectra proportional to wavelength^(q + 1) whe
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from scipy.special import jv
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
+from simulators.choices import Spread
 
 
 def order_angles(theta_in: float, orders: FloatArray, period_um: FloatArray, wavelengths: FloatArray) -> FloatArray:
@@ -56,17 +56,6 @@ def binned_spectra(
     angles = order_angles(theta_in, np.array(float(order)), periods_um[:, None], wavelengths)
     counts = [np.histogram(angles[:, i], bins=edges)[0] for i in range(wavelengths.size)]
     return np.stack(counts, axis=1) / periods_um.size
-
-
-class Spread(StrEnum):
-    """In which quantity the spacings of many gratings are spread evenly."""
-
-    SPACING = "spacing"
-    """d: as many gratings in each micrometre of spacing."""
-    LOGARITHM = "logarithm"
-    """log d: as many in each octave."""
-    FREQUENCY = "frequency"
-    """1/d: as many in each line per millimetre."""
 
 
 def spread_periods(spread: Spread, smallest_um: float, largest_um: float, count: int) -> FloatArray:

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from goniometer.dataset import Dataset
+from simulators.choices import ABOUT
 from simulators.measurement import Setup, measure
 from simulators.specimens import Retro, Shift, Specimen
 from simulators.surfaces import Surface
@@ -58,12 +59,15 @@ class Regime:
     """A way in which a measurement is difficult."""
 
     name: str
-    about: str
-    """What is difficult, in a phrase."""
     levels: tuple[Level, ...]
     """From harmless to hopeless."""
     models: tuple[str, ...] = tuple(SPECIMENS)
     """To which it applies."""
+
+    @property
+    def about(self) -> str:
+        """What is difficult, in a phrase."""
+        return ABOUT[self.name]
 
 
 @dataclass(frozen=True)
@@ -195,17 +199,15 @@ _SHIFTED = tuple(model for model in SPECIMENS if model != "cook-torrance")
 REGIMES = {
     regime.name: regime
     for regime in (
-        Regime("ordinary", "nothing is difficult", (Level("as it is"),)),
+        Regime("ordinary", (Level("as it is"),)),
         Regime(
             "mirror-like",
-            "the lobe is as narrow as the aperture",
             tuple(
                 Level(f"alpha {alpha:g}", specimen=partial(_alpha, alpha)) for alpha in (0.05, 0.02, 0.01, 0.005, 0.002)
             ),
         ),
         Regime(
             "dim flanks",
-            "low signal away from the specular peak",
             tuple(
                 Level(f"alpha 0.05, {1e3 * seconds:g} ms", partial(_alpha, 0.05), partial(_longest, seconds))
                 for seconds in (1.0, 0.1, 0.03, 0.01)
@@ -213,7 +215,6 @@ REGIMES = {
         ),
         Regime(
             "grazing footprint",
-            "the footprint leaves the sample at grazing angles",
             (
                 Level("15 mm, known", setup=partial(_disc, 15.0, True)),
                 Level("5 mm, known", setup=partial(_disc, 5.0, True)),
@@ -223,7 +224,6 @@ REGIMES = {
         ),
         Regime(
             "blocked retro direction",
-            "a gap towards the lamp, or a peak in it whose flanks show",
             (
                 Level("gap of 15 deg", spoil=partial(_without_retro, 15.0)),
                 Level("gap of 40 deg", spoil=partial(_without_retro, 40.0)),
@@ -232,7 +232,6 @@ REGIMES = {
         ),
         Regime(
             "fast transitions",
-            "the slope changes faster with direction than a cosine, or than the directions lie",
             (
                 *(Level(f"w {w:g}", partial(_shift, w)) for w in (6.0, 9.0, 11.5)),
                 *(
@@ -244,13 +243,11 @@ REGIMES = {
         ),
         Regime(
             "shift left out",
-            "the surface has a shift and the model none",
             tuple(Level(f"h {h:g} 1/um", partial(_shifted, h), described_by=()) for h in (0.4, 1.6)),
             ("cook-torrance",),
         ),
         Regime(
             "compensation",
-            "forward and back shift cancel, as on Spectralon sanded with grit 1000",
             tuple(
                 Level(name, partial(_compensated, kappa), lost=SHIFT | {"p"}, described_by=_TWO)
                 for name, kappa in (
@@ -263,7 +260,6 @@ REGIMES = {
         ),
         Regime(
             "bad normalisation",
-            "lambda_n is noisy, missing, outside what was measured, or nearly dark",
             (
                 Level("noise x 30", spoil=partial(_noisy, 30.0)),
                 Level("missing", spoil=_missing),
@@ -274,7 +270,6 @@ REGIMES = {
         ),
         Regime(
             "few colours",
-            "p and t_y hardly matter: Fresnel is flat over what was measured",
             tuple(
                 Level(f"{low:g} to {high:g} nm", setup=partial(_wavelengths, low, high))
                 for low, high in ((400.0, 750.0), (450.0, 650.0), (560.0, 640.0))
@@ -282,7 +277,6 @@ REGIMES = {
         ),
         Regime(
             "wrong n and k",
-            "another metal than it is fitted with",
             tuple(
                 Level(name, partial(_conductor, page), lost=frozenset({"p"}), described_by=())
                 for name, page in (
@@ -295,7 +289,6 @@ REGIMES = {
         ),
         Regime(
             "wrong distribution",
-            "normals that are not distributed as GGX",
             (
                 Level("Beckmann", _distribution, lost=frozenset({"alpha"}), described_by=()),
                 Level("mixture", _mixture, lost=EVERYTHING, described_by=()),
@@ -304,12 +297,10 @@ REGIMES = {
         ),
         Regime(
             "few points",
-            "too few directions",
             tuple(Level(f"{count} points", spoil=partial(_few, count)) for count in (50, 25, 15, 10, 6)),
         ),
         Regime(
             "outliers",
-            "values that are wrong and do not know it",
             (
                 Level("one spectrum x 3", spoil=partial(_outliers, 0.0)),
                 Level("5 % of spectra x 3", spoil=partial(_outliers, 0.05)),
@@ -320,7 +311,6 @@ REGIMES = {
         ),
         Regime(
             "saturation",
-            "the top of the lobe is beyond full scale",
             (
                 Level("1.5 x full scale, flagged", setup=partial(_exposed, 20.0, True)),
                 Level("5 x full scale, flagged", setup=partial(_exposed, 70.0, True)),

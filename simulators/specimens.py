@@ -9,8 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from analysis.choices import Distribution
 from analysis.directions import Aperture, Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import Distribution, lobe
+from analysis.distributions import lobe
 from analysis.fresnel import fresnel_conductor, fresnel_dielectric, load_conductor
 from analysis.models import LAMBDA_N, normalised_fresnel
 from analysis.two_component import two_component_slope

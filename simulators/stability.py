@@ -11,18 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.brdf_fit import BRDF_MODELS, form_of
+from analysis.brdf_fit import form_of
 from analysis.brdf_problem import problem, to_search
+from analysis.choices import BRDF_MODELS
 from analysis.directions import in_plane
 from analysis.distributions import lobe_width
 from analysis.errors import AnalysisError
 from analysis.fits import fit_models, local_fit_for
 from analysis.fresnel import load_conductor
 from analysis.global_fit import slope_problem
-from analysis.least_squares import Engine, SumOfSquares, minimise
+from analysis.least_squares import SumOfSquares, minimise
 from analysis.loew import MIRROR_LOBE, grazing_weighs_less, loew_data
 from analysis.microfacet import Form, Quantity, aperture_for, view
 from analysis.results import LocalFit, ModelFit
+from simulators.choices import METHODS
 from simulators.regimes import REGIMES, Case, case
 from simulators.specimens import Specimen, slopes
 
@@ -40,28 +42,6 @@ _QUANTITIES = {
     for quantity in (*Form(None, "two-component").quantities, Quantity("p", "1", -math.inf, math.inf, 0.3, 0.0))
 }
 """What is known of every parameter."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """A way to fit."""
-
-    model: str
-    engine: Engine = "fast"
-
-
-METHODS = {
-    "local": Method("local"),
-    "local, lmfit": Method("local", "lmfit"),
-    "global": Method("global"),
-    "global-two-component": Method("global-two-component"),
-    "cook-torrance": Method("cook-torrance"),
-    "cook-torrance-shift": Method("cook-torrance-shift"),
-    "cook-torrance-shift, lmfit": Method("cook-torrance-shift", "lmfit"),
-    "two-component": Method("two-component"),
-    "dielectric-shift": Method("dielectric-shift"),
-}
-"""All methods by name."""
 
 
 class Job(NamedTuple):

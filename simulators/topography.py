@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from goniometer.errors import InputError
+from simulators.choices import PITCH_UM, SIZE
 from simulators.heights import HeightField
 from simulators.materials import SAMPLES
 from simulators.synthesis import (
@@ -15,9 +16,6 @@ from simulators.synthesis import (
     with_micro_roughness,
 )
 from simulators.topography_file import read_topography
-
-SIZE, PITCH_UM = 1024, 0.5
-"""Usual points along each side of a synthesised surface, and their distance, um."""
 
 MEASURED_AREA_RATIOS = {
     "sample-1": 1.0915,

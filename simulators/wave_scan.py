@@ -15,22 +15,14 @@ import numpy as np
 from analysis.fresnel import Conductor
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
+from simulators.choices import FEWEST, PITCH_UM, SIDE_UM, STEP_UM, Kernel
 from simulators.diffraction import Coherence
 from simulators.heights import HeightField
 from simulators.power_spectrum import power_spectrum
 from simulators.sampling import Sampling, refined, sampling
 from simulators.synthesis import MICRO_CORRELATION_UM
-from simulators.topography import PITCH_UM, topography
-from simulators.waves import Averaged, Kernel, averaged_brdf, scattering_vectors
-
-SIDE_UM = 256.0
-"""Usual side of a synthesised patch, um: some hundred dents of the paper's beads."""
-
-STEP_UM = 0.25
-"""Usual distance of its points, um, at which the creases between dents are fine enough; splines refine it further."""
-
-FEWEST = 4
-"""Patches below which nothing is known of their spread: the variance of Student's distribution is infinite."""
+from simulators.topography import topography
+from simulators.waves import Averaged, averaged_brdf, scattering_vectors
 
 MOST_POINTS = 32_000_000
 """Points up to which a patch is refined; its computation takes some gigabytes then."""

@@ -6,7 +6,6 @@ Fresnel reflectance at the half vector. There is neither shadowing nor multiple 
 
 import warnings
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -14,21 +13,11 @@ from analysis.directions import in_plane
 from analysis.fresnel import Conductor, fresnel_conductor
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
+from simulators.choices import Kernel
 from simulators.diffraction import Coherence, diffraction_integral, window
 from simulators.heights import HeightField
 from simulators.power_spectrum import PowerSpectrum, power_spectrum
 from simulators.sampling import CoarseSampling, Sampling, sampling
-
-
-class Kernel(StrEnum):
-    """How the BRDF follows from |I|^2 / wavelength^2."""
-
-    HARVEY_SHACK = "harvey-shack"
-    """cos_o / cos_i: the generalised Harvey-Shack theory (Krywonos, Harvey & Choi 2011). It is not reciprocal."""
-    RECIPROCAL = "reciprocal"
-    """(cos_i + cos_o)^2 / (4 cos_i cos_o): the same, made reciprocal."""
-    KIRCHHOFF = "kirchhoff"
-    """(|q|^2 / q_z)^2 / (4 cos_i cos_o): the Kirchhoff approximation (Beckmann & Spizzichino 1963)."""
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from analysis.brdf_fit import BRDF_MODELS
-from analysis.fits import MODELS
+from analysis.choices import BRDF_MODELS, MODELS
 from analysis.notation import roughly, with_uncertainty
 from analysis.page import MODEL_NAMES
 from api.views.body import Body, Number, number

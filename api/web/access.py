@@ -8,8 +8,9 @@ from typing import Any, cast
 
 from fastapi import Depends, Request
 
-from api.accounts import Role, all_users, at_least
+from api.accounts import all_users, at_least
 from api.callers import Shown
+from api.choices import Role
 from api.errors import NotAllowed, Unauthorised
 from api.tokens import Caller
 from goniometer.database import Database

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
+from api.choices import WRITTEN
 from api.errors import Conflict
 from api.exports import FORMATS
 from api.job_arguments import ExportArguments, ExportAsked, FitArguments, HowAsked, ReportArguments
@@ -70,7 +71,7 @@ def one_fit(number: Number, live: Here, caller: Viewer) -> Response:
 def formats(caller: Viewer) -> list[FormatView]:
     """All formats of exports."""
     return [
-        FormatView(name=name, about=each.about, ending=each.ending, options=list(each.uses))
+        FormatView(name=name, about=WRITTEN[name], ending=each.ending, options=list(each.uses))
         for name, each in FORMATS.items()
     ]
 

@@ -7,7 +7,8 @@ from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 from starlette.concurrency import run_in_threadpool
 
-from api.accounts import LONGEST_PASSWORD, Role, all_users, check_password, set_password
+from api.accounts import LONGEST_PASSWORD, all_users, check_password, set_password
+from api.choices import Role
 from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.throttle import count_try, forgive
 from api.tokens import (

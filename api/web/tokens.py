@@ -7,7 +7,8 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from api import tokens
-from api.accounts import Role, at_least
+from api.accounts import at_least
+from api.choices import Role
 from api.errors import NotAllowed
 from api.web.access import Caller, needs
 from api.web.context import Here

@@ -6,7 +6,8 @@ from fastapi import APIRouter, Path, Request
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
 from api import accounts
-from api.accounts import LONGEST_PASSWORD, Role
+from api.accounts import LONGEST_PASSWORD
+from api.choices import Role
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, page

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from analysis.brdf_fit import brdf_fit
-from analysis.distributions import Distribution, lobe_width, ndf
+from analysis.choices import Distribution, Engine
+from analysis.distributions import lobe_width, ndf
 from analysis.errors import FitError, OutOfRange
-from analysis.least_squares import Engine
 from goniometer.dataset import Dataset, Flag
 
 Measure = Callable[..., Dataset]

@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from analysis.brdf_fit import brdf_fit
 from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
+from analysis.choices import Distribution
 from analysis.directions import Directions, in_plane, round_aperture
-from analysis.distributions import Distribution
 from analysis.fresnel import load_conductor
 from analysis.global_fit import global_fit
 from analysis.least_squares import SumOfSquares, minimise

@@ -9,11 +9,10 @@ import pytest
 
 from analysis.analyse import analyse
 from analysis.brdf_fit import form_of
+from analysis.choices import MODELS, Distribution
 from analysis.directions import in_plane
-from analysis.distributions import Distribution
 from analysis.errors import ExportError, OutOfRange
 from analysis.fit_json import analysis_from_json, analysis_to_json, fit_from_json, fit_to_json
-from analysis.fits import MODELS
 from analysis.fresnel import load_conductor
 from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
 from analysis.microfacet import brdf

@@ -10,8 +10,9 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
+from analysis.choices import Distribution
 from analysis.directions import Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import Distribution, lobe, lobe_derivative
+from analysis.distributions import lobe, lobe_derivative
 from analysis.fresnel import fresnel_dielectric, fresnel_dielectric_derivative, load_conductor
 from analysis.models import (
     constant,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from analysis.choices import Distribution
 from analysis.directions import Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import Distribution, g1, lobe, ndf
+from analysis.distributions import g1, lobe, ndf
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.models import (
     cook_torrance,

@@ -9,8 +9,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from analysis.choices import Distribution
 from analysis.directions import Directions
-from analysis.distributions import Distribution
 from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric
 from analysis.models import cook_torrance
 from drivers.arrays import FloatArray

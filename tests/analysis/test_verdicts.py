@@ -9,8 +9,8 @@ import pytest
 
 from analysis.analyse import analyse
 from analysis.brdf_fit import brdf_fit
+from analysis.choices import Distribution
 from analysis.directions import Directions, in_plane
-from analysis.distributions import Distribution
 from analysis.errors import FitError
 from analysis.fits import fit_models, fitted_slope
 from analysis.fresnel import fresnel_conductor, load_conductor

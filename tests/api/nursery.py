@@ -20,7 +20,30 @@ from typing import Any, NoReturn
 
 from api.cli import main
 
-HEAVY = ("colour", "lmfit", "matplotlib.pyplot", "scipy.interpolate", "scipy.ndimage", "scipy.stats")
+HEAVY = (
+    "analysis.photo_page",
+    "api.characterise",
+    "api.choose",
+    "api.demo",
+    "api.exports",
+    "api.gratings",
+    "api.imports",
+    "api.preview",
+    "api.quality",
+    "api.ray_page",
+    "api.render",
+    "api.stability",
+    "api.surface_page",
+    "api.tradeoff",
+    "api.wave_page",
+    "colour",
+    "lmfit",
+    "matplotlib.pyplot",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.stats",
+    "simulators.photo_session",
+)
 """What the commands load where they use it."""
 
 

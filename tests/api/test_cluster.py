@@ -23,6 +23,7 @@ from api.executor import processes
 from api.products import fit_datasets
 from goniometer.errors import InputError
 from goniometer.store import Store
+from simulators.choices import Kernel
 from simulators.diffraction import seen_through
 from simulators.ensemble import ensemble, jobs
 from simulators.ray_scan import Goniometer, ray_scan
@@ -30,7 +31,6 @@ from simulators.rays import terrain
 from simulators.topography import topography
 from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import simulate
-from simulators.waves import Kernel
 from tests.drawn_dataset import drawn_dataset
 
 NM = np.arange(420.0, 701, 40)

@@ -11,7 +11,8 @@ import pytest
 from fastapi.routing import iter_route_contexts
 from starlette.exceptions import HTTPException
 
-from api.accounts import ROLES, Role, add_user, at_least
+from api.accounts import add_user, at_least
+from api.choices import ROLES, Role
 from api.live import open_live
 from api.tokens import create_token
 from tests.api.service_client import Client

@@ -17,10 +17,11 @@ from analysis.figures import line_colours
 from analysis.fresnel import load_conductor
 from analysis.local_fit import local_fit
 from analysis.svg import INK, new_axes, style, to_svg
+from simulators.choices import Kernel
 from simulators.computed import Computed, computed_dataset
 from simulators.heights import HeightField
 from simulators.sampling import refined, sampling
-from simulators.waves import Kernel, averaged_brdf, scattering_vectors
+from simulators.waves import averaged_brdf, scattering_vectors
 from tests.benchmarks import claims_rays
 from tests.benchmarks.claims_waves import (
     BANDS,

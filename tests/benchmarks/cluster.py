@@ -31,6 +31,7 @@ from api.derive import derive
 from api.executor import processes
 from api.products import fit_datasets
 from goniometer.store import Store
+from simulators.choices import Kernel
 from simulators.diffraction import seen_through
 from simulators.ensemble import ensemble, jobs
 from simulators.ray_scan import Goniometer, ray_scan
@@ -38,7 +39,6 @@ from simulators.rays import terrain
 from simulators.topography import topography
 from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import simulate
-from simulators.waves import Kernel
 from tests.drawn_dataset import drawn_dataset
 
 WORKERS = os.cpu_count() or 1

@@ -17,10 +17,11 @@ import numpy as np
 
 from analysis.brdf_problem import from_search, problem, to_search, weighted_residual
 from analysis.brdf_start import find_starts
+from analysis.choices import Engine
 from analysis.directions import in_plane, round_aperture
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.global_fit import W_BOUNDS, global_fit, search_slopes, slope_problem
-from analysis.least_squares import Engine, SumOfSquares, minimise
+from analysis.least_squares import SumOfSquares, minimise
 from analysis.local_fit import local_exponents, local_fit
 from analysis.loew import LoewData, loew_data
 from analysis.microfacet import Form, View

@@ -25,12 +25,13 @@ import numpy as np
 from analysis.fresnel import load_conductor
 from drivers.arrays import FloatArray
 from goniometer.geometry import BLOCKED_HALF_WIDTH
+from simulators.choices import Kernel
 from simulators.diffraction import diffraction_integral, seen_through, window
 from simulators.heights import HeightField
 from simulators.sampling import CoarseSampling, refined, sampling
 from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import simulate
-from simulators.waves import Kernel, averaged, averaged_brdf, scattering_vectors
+from simulators.waves import averaged, averaged_brdf, scattering_vectors
 
 WAVELENGTHS = np.linspace(380.0, 780.0, 20)
 INCIDENT, REFLECTED = np.linspace(0.0, 80.0, 17), np.linspace(-85.0, 85.0, 171)

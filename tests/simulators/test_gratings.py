@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import linregress
 
 from goniometer.errors import InputError
+from simulators.choices import Spread
 from simulators.diffraction import Coherence
 from simulators.gratings import (
-    Spread,
     binned_spectra,
     grating_brdf,
     order_angles,

@@ -8,10 +8,11 @@ from analysis.directions import Aperture, round_aperture
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from simulators.camera import window_of
+from simulators.choices import Kernel
 from simulators.heights import HeightField, UnfitTopography
 from simulators.speckle import Lens, Lighting, image_points, phase_screen, pupil, squared_field
 from simulators.synthesis import gaussian, gaussian_correlation
-from simulators.waves import Kernel, averaged, averaged_brdf, obliquity
+from simulators.waves import averaged, averaged_brdf, obliquity
 
 POINT = Aperture(np.zeros(1), np.zeros(1), np.ones(1))
 LENS = Lens(f_number=11, magnification=1, theta_out=30)

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
+from simulators.choices import Kernel
 from simulators.diffraction import Coherence
 from simulators.gratings import order_angles, sinusoidal_efficiencies
 from simulators.heights import HeightField
@@ -17,7 +18,6 @@ from simulators.synthesis import gaussian, gaussian_correlation
 from simulators.wave_convergence import HALF_STEP, TWICE_STEP
 from simulators.wave_scan import Patches, Setup, average, choose_patches, fine_enough, seen, spread, tiles
 from simulators.wave_simulation import WaveSimulation, simulate
-from simulators.waves import Kernel
 
 WAVELENGTHS = np.linspace(450.0, 750.0, 7)
 

@@ -7,10 +7,11 @@ import pytest
 
 from analysis.fresnel import load_conductor
 from goniometer.errors import InputError
+from simulators.choices import Kernel
 from simulators.diffraction import Coherence
 from simulators.heights import HeightField
 from simulators.sampling import CoarseSampling, refined
-from simulators.waves import Kernel, averaged, averaged_brdf, obliquity, patch_brdf, scattering_vectors
+from simulators.waves import averaged, averaged_brdf, obliquity, patch_brdf, scattering_vectors
 
 WAVELENGTHS = np.array([420.0, 600.0, 750.0])
 
