@@ -22,6 +22,7 @@ check: $(VENV)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/bandit -q -c pyproject.toml -r drivers goniometer analysis simulators api
 
 # Builds the pages of the service into api/static; only who changes them needs Node.
 ui: $(VENV)

@@ -6,7 +6,7 @@ linear between these, which lamps with lines in their spectrum are not.
 """
 
 import json
-import subprocess
+import subprocess  # nosec B404 # runs this Python only
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -179,7 +179,8 @@ def run_worker(module: str, folder: Path) -> dict[str, Any]:
 
     Raises `RenderError` where Mitsuba is not there or fails.
     """
-    done = subprocess.run([sys.executable, "-m", module, str(folder)], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", module, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # nosec B603 # nothing of it is foreign
     if done.returncode < 0:
         raise RenderError(f"Mitsuba ended by signal {-done.returncode}.")
     if done.returncode != 0:

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree  # nosec B405: it only writes; what reads is defusedxml
+from xml.etree import ElementTree  # nosec B405 # it only writes; what reads is defusedxml
 
 import defusedxml
 import defusedxml.ElementTree

@@ -54,6 +54,19 @@ def set_point(settings: InstrumentSettings | None) -> float:
     return (SpectrometerSettings() if settings is None else settings.spectrometer).cooler_set_point
 
 
+def conflict(command: str, phase: BenchPhase, doing: str) -> Conflict:
+    """Why `command` is not possible in a phase of the bench, and what is."""
+    hint = {
+        "disconnected": "connect it first",
+        "connecting": "wait until it is connected, or stop it",
+        "ready": "disconnect it first",
+        "busy": "wait for its end, or stop it",
+        "running": "a campaign owns it; abort that, or stop it",
+        "stopping": "wait until it has stopped",
+    }[phase]
+    return Conflict(f"The bench cannot {command} while it is {phase} ({doing.rstrip('.')}); {hint}")
+
+
 class OperatedBench:
     """The bench of one service; every method must be called in the event loop in which it was made."""
 
@@ -143,11 +156,17 @@ class OperatedBench:
         take = instrument.dark if dark else instrument.expose
         await self._do("busy", f"Exposing for {integration_time:g} s.", take(integration_time))
 
-    async def doctor(self, *, home: bool) -> list[dict[str, Any]]:
-        """Examine every device of the bench, which must not be connected. Raises `Conflict`."""
+    async def doctor(self, *, home: bool, tell: Callable[[float, str], None]) -> dict[str, Any]:
+        """Examine every device of the bench, which must not be connected. Raises `Conflict`.
+
+        `tell` is told which part is done, 0 to 1, and what is done next.
+        """
         self._check("doctor")
-        findings = await self._do("busy", "Examining every device.", diagnose(self.settings, home=home))
-        return [asdict(finding) | {"line": finding.line()} for finding in findings]
+        findings = await self._do("busy", "Examining every device.", diagnose(self.settings, home=home, tell=tell))
+        return {
+            "fit": not any(finding.problems for finding in findings),
+            "findings": [asdict(finding) | {"line": finding.line()} for finding in findings],
+        }
 
     async def run(self, doing: str, work: Coroutine[Any, Any, T]) -> T:
         """Let a campaign have the bench, which is ready. Raises what `work` raises, and `Conflict`."""
@@ -246,16 +265,7 @@ class OperatedBench:
             raise self._conflict(command)
 
     def _conflict(self, command: str) -> Conflict:
-        """Why `command` is not possible now, and what is."""
-        hint = {
-            "disconnected": "connect it first",
-            "connecting": "wait until it is connected, or stop it",
-            "ready": "disconnect it first",
-            "busy": "wait for its end, or stop it",
-            "running": "a campaign owns it; abort that, or stop it",
-            "stopping": "wait until it has stopped",
-        }[self.phase]
-        return Conflict(f"The bench cannot {command} while it is {self.phase} ({self.doing.rstrip('.')}); {hint}")
+        return conflict(command, self.phase, self.doing)
 
     def _enter(self, phase: BenchPhase, doing: str) -> None:
         self.phase, self.doing = phase, doing

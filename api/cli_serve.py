@@ -36,9 +36,14 @@ def register(app: typer.Typer) -> None:
         host_name: Annotated[
             list[str] | None, typer.Option(help="Name under which it is known, besides the machine's; may be repeated.")
         ] = None,
+        keep_jobs: Annotated[
+            int, typer.Option(min=0, help="Jobs that are over and kept with their results, however old they are.")
+        ] = 1000,
+        keep_jobs_days: Annotated[float, typer.Option(min=0, help="Days for which all others are kept, too.")] = 90.0,
         bench: BenchName = None,
     ) -> None:
         """Serve REST, events and the pages of the bench until it is stopped."""
+        from api.retention import Retention  # noqa: PLC0415
         from api.serve import Listen  # noqa: PLC0415  (FastAPI takes half a second)
         from api.serve import serve as run  # noqa: PLC0415
 
@@ -47,4 +52,13 @@ def register(app: typer.Typer) -> None:
             raise InputError("--mount-by-itself is for the simulated bench; leave it out, or leave out --instrument.")
         listen = Listen(host, port, tls_cert, tls_key, behind_proxy, tuple(host_name or ()))
         name = bench_of(bench, settings)
-        run(database, output, settings, listen, mounts_by_itself=mount_by_itself, bench=name, cluster=context.obj)
+        run(
+            database,
+            output,
+            settings,
+            listen,
+            mounts_by_itself=mount_by_itself,
+            bench=name,
+            cluster=context.obj,
+            kept=Retention(keep_jobs, keep_jobs_days),
+        )

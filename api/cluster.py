@@ -8,7 +8,7 @@ failures` of the scheduler).
 
 import hashlib
 import logging
-import pickle
+import pickle  # nosec B403 # only between this program and the workers that its user has named
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager

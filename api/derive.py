@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from xml.sax.saxutils import quoteattr  # nosec B406: it writes
+from xml.sax.saxutils import quoteattr  # nosec B406 # it writes
 
 from analysis.analyse import analyse
 from analysis.bsdf_search import USUAL_BUDGET, Budget

@@ -5,7 +5,7 @@ which is a program.
 """
 
 import re
-from xml.etree.ElementTree import Element  # nosec B405: nothing is parsed by it
+from xml.etree.ElementTree import Element  # nosec B405 # nothing is parsed by it
 
 from analysis.mitsuba_scene import parsed_xml
 from goniometer.errors import InputError

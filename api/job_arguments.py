@@ -33,6 +33,12 @@ class Arguments(BaseModel):
         """Raise what can be known to be wrong before the work begins."""
 
 
+class DoctorArguments(Arguments):
+    """How the devices are examined."""
+
+    home: bool = Field(default=False, description="Home stages that do not know their reference; look before.")
+
+
 class OfDataset(Arguments):
     """A job on one dataset."""
 

@@ -19,6 +19,7 @@ from api.imports import Request, imported_file
 from api.job_arguments import (
     Arguments,
     ChooseArguments,
+    DoctorArguments,
     ExportArguments,
     FitArguments,
     ImportAsked,
@@ -75,7 +76,8 @@ class Kind:
     about: str
     """For a person, e.g. "Fit a dataset"."""
     arguments: type[Arguments]
-    run: Callable[[Work, Any], Made]
+    run: Callable[[Work, Any], Made] | None
+    """None: it is a command of the bench, which the process that drives it obeys."""
     role: Role = "operator"
     """Whoever asks for it needs this role or a higher one."""
     long: bool = False
@@ -200,6 +202,7 @@ def _choose(work: Work, asked: ChooseArguments) -> Made:
 
 
 KINDS: dict[str, Kind] = {
+    "doctor": Kind("Examine every device", DoctorArguments, None),
     "fit": Kind("Fit a dataset", FitArguments, _fit),
     "export": Kind("Write a dataset for others", ExportArguments, _export),
     "report": Kind("Write the report of a dataset", ReportArguments, _report),

@@ -9,6 +9,7 @@ from analysis.errors import AnalysisError
 from analysis.fit_json import strict_json
 from api.derive import end_with_parent
 from api.job_kinds import KINDS, Work
+from api.retention import JOBS
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, OptionError
 from goniometer.store import Store
@@ -52,8 +53,9 @@ def work(database: str, output: str, cluster: str | None, job_id: int, kind: str
     `cluster` is the address of the Dask scheduler that does heavy work, None for this machine.
     """
     wanted = KINDS[kind]
+    assert wanted.run is not None  # else it would be done elsewhere
     store = Store.open(database if "://" in database else Path(database))
-    here = Work(store, Path(output) / "jobs" / str(job_id), Path(output), _tell, cluster)
+    here = Work(store, Path(output) / JOBS / str(job_id), Path(output), _tell, cluster)
     try:
         made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
     except OptionError as error:

@@ -7,6 +7,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from api.errors import Conflict
 from api.events import Events
 from api.lease import pass_on_stop
 from api.runner import Task
-from api.state import Answer, BenchState, Call, Message, Snapshot, Told
+from api.state import Answer, BenchState, Call, Doing, Message, Snapshot, Told
 from api.worker import main
 from drivers.errors import DriverError
 from goniometer.database import Database
@@ -61,7 +62,7 @@ class Link:
         self._database = database
         self._events = events
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, Future[Any]] = {}
+        self._waiting: dict[int, tuple[Future[Any], Callable[[float, str], None]]] = {}
         self._lock = threading.Lock()
         self._connection: Connection | None = None
         self._closing = False
@@ -110,14 +111,18 @@ class Link:
 
     async def call(self, name: str, **arguments: Any) -> Any:
         """What comes of a command; raises what refused it, `Conflict` where nobody is there to obey."""
+        return await asyncio.wrap_future(self.ask(name, lambda *_: None, **arguments))
+
+    def ask(self, name: str, tell: Callable[[float, str], None], **arguments: Any) -> Future[Any]:
+        """As `call`, from any thread; `tell` is told how far it is, 0 to 1 and in words, and must return soon."""
         number = next(self._numbers)
         answer: Future[Any] = Future()
         with self._lock:
             if self._connection is None:
                 raise Conflict("The process that drives the bench is being started; try again in a moment")
-            self._waiting[number] = answer
+            self._waiting[number] = answer, tell
             self._connection.send(Call(number, name, arguments))
-        return await asyncio.wrap_future(answer)
+        return answer
 
     async def stop(self) -> None:
         """Stop the bench at once, whichever service drives it."""
@@ -144,7 +149,7 @@ class Link:
                 here.close()
                 forsaken, self._waiting = self._waiting, {}
             self._tell(self._unknown)
-            for answer in forsaken.values():
+            for answer, _ in forsaken.values():
                 answer.set_exception(Conflict("The process that drives the bench has ended; try again in a moment"))
             process.join(PATIENCE)
             if process.exitcode is None:
@@ -182,9 +187,13 @@ class Link:
                 self._events.publish("spectrum", told)
             case Told(kind, data):
                 self._events.publish(kind, data)
+            case Doing(number, share, words):
+                _, tell = self._waiting.get(number, (None, None))
+                if tell is not None:
+                    tell(share, words)
             case Answer(number, value, refusal):
                 with self._lock:
-                    answer = self._waiting.pop(number, None)
+                    answer, _ = self._waiting.pop(number, (None, None))
                 if answer is None or answer.cancelled():
                     return
                 if refusal is None:

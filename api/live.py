@@ -9,6 +9,7 @@ from api.callers import Callers
 from api.events import Events
 from api.jobs import Jobs
 from api.link import Link
+from api.retention import KEPT, Retention
 from api.runner import Task
 from api.settings import InstrumentSettings
 from api.views.opened import Datasets
@@ -51,17 +52,19 @@ def open_live(
     mounts_by_itself: bool = False,
     bench: str = BENCH,
     cluster: str | None = None,
+    kept: Retention = KEPT,
 ) -> Iterator[Live]:
     """The service on `database`, until the context ends; nothing moves before an application is made of it.
 
     `settings` of None are the simulated bench, on which samples are laid without asking anybody if `mounts_by_itself`.
     `url` is where the service answers, `bench` the name of the bench, `cluster` the Dask scheduler that does heavy
-    work, None for this machine. Raises `StoreError` where the database cannot be opened.
+    work, None for this machine. Of jobs that are over, so many are `kept`. Raises `StoreError` where the database
+    cannot be opened.
     """
     store = Store.open(database, bench)
     events = Events()
     worker = Link(Task(database, output, settings, url, mounts_by_itself, bench, cluster), store, events)
-    jobs = Jobs(store, database, output, events, cluster)
+    jobs = Jobs(store, database, output, events, cluster, worker, kept)
     datasets = Datasets(store, output / "cache")
     try:
         yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())

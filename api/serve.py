@@ -13,10 +13,12 @@ import uvicorn
 from api.audit import record, record_done
 from api.live import Live, open_live
 from api.logs import log_as_json
+from api.retention import KEPT, Retention
 from api.settings import InstrumentSettings
 from api.tokens import first_token
 from api.web.access import check_listen
 from api.web.app import make_app
+from api.web.patience import Patient
 from goniometer.errors import ConfigurationError
 from goniometer.store import Store
 from goniometer.tables import BENCH
@@ -53,10 +55,11 @@ def serve(
     mounts_by_itself: bool = False,
     bench: str = BENCH,
     cluster: str | None = None,
+    kept: Retention = KEPT,
 ) -> None:
     """Serve until SIGTERM or SIGINT; the bench, which has the name `bench`, is parked then.
 
-    Heavy work goes to the Dask scheduler `cluster`, if any.
+    Heavy work goes to the Dask scheduler `cluster`, if any. Of jobs that are over, so many are `kept`.
 
     Raises `StoreError` where the database cannot be opened, and `ConfigurationError` where nobody can, or may, listen
     there.
@@ -76,10 +79,19 @@ def serve(
             print(f"Open {url}/#token={token}", flush=True)
         store.close()
         with open_live(
-            database, output, settings, url=url, mounts_by_itself=mounts_by_itself, bench=bench, cluster=cluster
+            database,
+            output,
+            settings,
+            url=url,
+            mounts_by_itself=mounts_by_itself,
+            bench=bench,
+            cluster=cluster,
+            kept=kept,
         ) as live:
             config = uvicorn.Config(
                 make_app(live, access),
+                http=Patient,
+                ws="none",
                 log_config=None,
                 access_log=False,
                 server_header=False,

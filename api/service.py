@@ -211,14 +211,19 @@ def mounting(ask: Mount, laboratory: Laboratory | None, *, asks: bool = True) ->
 
 
 async def diagnose(
-    settings: InstrumentSettings | None, *, home: bool = False, families: tuple[str, str] = STAGES
+    settings: InstrumentSettings | None,
+    *,
+    home: bool = False,
+    families: tuple[str, str] = STAGES,
+    tell: Callable[[float, str], None] = lambda *_: None,
 ) -> list[Finding]:
     """Open and examine each device of the configured bench, or of the simulated one, and close them all.
 
-    Stages that do not know their reference are moved only if `home`.
+    Stages that do not know their reference are moved only if `home`; `tell` is told which part is done, 0 to 1, and
+    what is done next.
     """
     with _site(settings, 0, families) as site:
-        return await visit(site.bench, home=home, absent=site.unplugged())
+        return await visit(site.bench, home=home, absent=site.unplugged(), tell=tell)
 
 
 @dataclass(frozen=True)

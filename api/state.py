@@ -168,5 +168,16 @@ class Told:
     data: dict[str, Any]
 
 
-Message = Answer | Told | BenchState | Snapshot
+@dataclass(frozen=True)
+class Doing:
+    """How far a call is."""
+
+    number: int
+    share: float
+    """0 to 1."""
+    words: str
+    """What is done next."""
+
+
+Message = Doing | Answer | Told | BenchState | Snapshot
 """What the process that drives the bench says."""

@@ -15,16 +15,19 @@ MOST = 50
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 _NAME = re.compile(r"[\w][\w .()+-]{0,119}")
 
+_LONGEST = 240
+"""Bytes of a name; file systems take 255."""
+
 
 def new_upload(output: Path, name: str) -> tuple[str, Path]:
     """A token, and the file to write what is sent as `name` into; raises `InputError` for a name that is none.
 
     `output` is the folder of the results of the service.
     """
-    if not _NAME.fullmatch(name):
+    if not _NAME.fullmatch(name) or len(name.encode()) > _LONGEST:
         raise InputError(
             f'name: "{name[:60]}" is no plain file name; give one of letters, digits, spaces and . _ - + ( ), '
-            f"at most 120, that begins with a letter or a digit"
+            f"at most 120 and {_LONGEST} bytes, that begins with a letter or a digit"
         )
     folder = _folder(output)
     make_folder(folder)

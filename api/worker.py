@@ -5,6 +5,7 @@ It ends when its service does. Whatever ends it, the stages are stopped and the 
 
 import asyncio
 import logging
+import os
 import signal
 import socket
 import threading
@@ -12,6 +13,7 @@ import time
 import uuid
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any
@@ -33,7 +35,7 @@ from api.lease import (
 )
 from api.logs import log_as_json
 from api.runner import PATIENCE_WITH_DISK, Runner, Task
-from api.state import Alarm, Answer, BenchState, Call, Driver, Message, Told
+from api.state import Alarm, Answer, BenchState, Call, Doing, Driver, Message, Told
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreBusy, StoreError
 from goniometer.records import now
@@ -133,22 +135,41 @@ class _Worker:
         holder = uuid.uuid4().hex
         since: str | None = self.task.since
         while True:
-            async with AsyncExitStack() as held:
-                try:
-                    held.enter_context(self.store.exclusive())
-                except StoreBusy:  # another process of this machine drives, or runs a campaign from its command line
-                    self.busy_elsewhere = True
-                else:
-                    self.busy_elsewhere = False
-                    seen = read_lease(self.store)
-                    # the lock of the database says that no process of this machine drives any more
-                    dead = seen is not None and (seen.host == socket.gethostname() or watcher.silent_for(seen) > EXPIRY)
-                    self.lease = take_lease(self.store, holder, self.task.url, seen if dead else None)
-                if self.lease is not None:
-                    await self._hold_lease(self.lease, since)
-            since = None  # whatever was started meanwhile was not meant for this service
-            self._see_driver()
+            try:
+                async with AsyncExitStack() as held:
+                    try:
+                        held.enter_context(self.store.exclusive())
+                    except StoreBusy:  # another process drives this bench, or runs a campaign from its command line
+                        self.busy_elsewhere = True
+                    else:
+                        self.busy_elsewhere = False
+                        seen = read_lease(self.store)
+                        dead = seen is not None and (
+                            seen.holder == holder or self._is_gone(seen) or watcher.silent_for(seen) > EXPIRY
+                        )
+                        self.lease = take_lease(self.store, holder, self.task.url, seen if dead else None)
+                    if self.lease is not None:
+                        await self._hold_lease(self.lease, since)
+                since = None  # whatever was started meanwhile was not meant for this service
+                self._see_driver()
+            except StoreError as error:  # a server that restarts is back in a while
+                log.error("%s", error)
+                await asyncio.sleep(PATIENCE_WITH_DISK)
             await asyncio.sleep(BEAT / 2)
+
+    def _is_gone(self, lease: Lease) -> bool:
+        """Whether who holds a lease has ended, as far as this machine, whose process has `exclusive`, can tell."""
+        if lease.host != socket.gethostname():
+            return False
+        if self.store.file is not None:  # its lock ends with the process only
+            return True
+        try:
+            os.kill(lease.process, 0)
+        except ProcessLookupError:
+            return True
+        except PermissionError:  # of another account, and alive
+            return False
+        return lease.process == os.getpid()
 
     async def _hold_lease(self, lease: Lease, since: str | None) -> None:
         """Run the queue, and show signs of life; returns when the lease is lost, with the bench parked.
@@ -247,14 +268,15 @@ class _Worker:
 
     async def _answer(self, call: Call) -> None:
         try:
-            value = await self._command(call.name, call.arguments)
+            value = await self._command(call)
             await self._look_once()  # who reads the state after the answer sees what came of it
         except (GoniometerError, DriverError) as error:
             self.say(Answer(call.number, refusal=(type(error).__name__, str(error))))
         else:
             self.say(Answer(call.number, value))
 
-    def _command(self, name: str, arguments: dict[str, Any]) -> Coroutine[Any, Any, Any]:
+    def _command(self, call: Call) -> Coroutine[Any, Any, Any]:
+        name, arguments = call.name, call.arguments
         if name == "end":
             return self._end()
         if self.lease is None:
@@ -268,7 +290,7 @@ class _Worker:
             "home": self.bench.home,
             "jog": self.bench.jog,
             "expose": self.bench.expose,
-            "doctor": self.bench.doctor,
+            "doctor": partial(self.bench.doctor, tell=lambda *far: self.say(Doing(call.number, *far))),
         }
         work: Coroutine[Any, Any, Any] = commands[name](**arguments)
         return work

@@ -14,7 +14,7 @@ from goniometer import tables
 from goniometer.database import Database
 from goniometer.errors import NotInStore, RawDamaged, StoreBusy, StoreError
 from goniometer.integrity import damage, kept_inside
-from goniometer.records import exposure_hash
+from goniometer.records import HASHED, exposure_hash
 
 _PATIENCE = 10.0
 """Seconds that others may keep the database locked."""
@@ -112,7 +112,8 @@ def _verify(part: Path, called: str) -> None:
             raise StoreError(f"{called} cannot be copied, for it is not whole: {fault[0].lower()}{fault[1:]}")
         tables.check_ours(connection, called)
         if "sha256" in {column["name"] for column in inspect(connection).get_columns("exposures")}:
-            query = select(tables.exposures)
+            # an older version has not every column of today's
+            query = select(*(tables.exposures.c[name] for name in ("id", "sha256", "counts", *HASHED)))
             if inspect(connection).has_table(tables.archives.name):
                 query = query.where(kept_inside())
             for row in connection.execute(query.execution_options(yield_per=500)):

@@ -104,13 +104,21 @@ class _Notes:
         self.figures.append(Figure(name, float(value), unit))
 
 
-async def visit(bench: Bench, *, home: bool = False, absent: Mapping[str, DriverError] | None = None) -> list[Finding]:
+async def visit(
+    bench: Bench,
+    *,
+    home: bool = False,
+    absent: Mapping[str, DriverError] | None = None,
+    tell: Callable[[float, str], None] = lambda *_: None,
+) -> list[Finding]:
     """Open all devices at once, `examine` those that answer, make the bench safe and close them all.
 
-    Those that are `absent`, by name, are not tried; why they are is their finding.
+    Those that are `absent`, by name, are not tried; why they are is their finding. `tell` is told which part is done,
+    0 to 1, and what is done next.
     """
     absent = dict(absent or {})
     devices = (bench.sample_stage, bench.detector_stage, bench.spectrometer)
+    tried = 0
 
     async def connect(device: RotationStage | Spectrometer) -> None:
         try:
@@ -118,7 +126,11 @@ async def visit(bench: Bench, *, home: bool = False, absent: Mapping[str, Driver
                 await device.open()
         except DriverError as error:
             absent[device.name] = error
+        nonlocal tried
+        tried += 1
+        tell(tried / 6, f"Opened {tried} of 3 devices" if tried < 3 else "Examining all devices")
 
+    tell(0.0, "Opening all devices")
     try:
         async with asyncio.TaskGroup() as group:
             for device in devices:

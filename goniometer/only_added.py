@@ -85,7 +85,7 @@ def let_counts_move(connection: Connection) -> None:
         same = " AND ".join(f"OLD.{row.name} IS NEW.{row.name}" for row in columns if row.name != "counts")
         statements = [
             "DROP TRIGGER exposures_no_update",
-            f"CREATE TRIGGER exposures_no_update BEFORE UPDATE ON exposures WHEN NOT ({same} "
+            f"CREATE TRIGGER exposures_no_update BEFORE UPDATE ON exposures WHEN NOT ({same} "  # nosec B608 # columns only
             f"AND length(OLD.counts) * length(NEW.counts) = 0 "
             f"AND EXISTS (SELECT 1 FROM archives WHERE scan_id = OLD.scan_id)) "
             f"BEGIN SELECT RAISE(ABORT, 'exposures are only ever added'); END",

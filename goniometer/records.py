@@ -255,7 +255,7 @@ def exposure_row(
     return row | {"sha256": exposure_hash(row)}
 
 
-_HASHED = (
+HASHED = (
     "kind",
     "integration_time",
     "device_count",
@@ -267,6 +267,7 @@ _HASHED = (
     "moment",
     "taken",
 )
+"""Columns whose content is in the hash of an exposure, beside the counts."""
 
 
 def _as_kept(number: float) -> float:
@@ -278,7 +279,7 @@ def exposure_hash(row: Mapping[Any, Any]) -> str:
 
     Numbers of rows are not in it, for what was read does not depend on them.
     """
-    told = json.dumps([row[name] for name in _HASHED], separators=(",", ":"))
+    told = json.dumps([row[name] for name in HASHED], separators=(",", ":"))
     return hashlib.sha256(told.encode() + b"\n" + row["counts"]).hexdigest()
 
 

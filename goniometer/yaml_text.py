@@ -26,7 +26,7 @@ def parsed_yaml(text: str) -> object:
     if len(text) > LARGEST:
         raise ValueError(f"is longer than {LARGEST / 1e6:g} million characters; nothing that is described here is")
     try:
-        return yaml.load(text, _Loader)  # nosec B506: a SafeLoader that reads less
+        return yaml.load(text, _Loader)  # nosec B506 # a SafeLoader that reads less
     except yaml.YAMLError as error:
         mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
         where = "" if mark is None else f" in line {mark.line + 1}"

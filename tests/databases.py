@@ -25,10 +25,11 @@ SETTINGS = {"fsync": "off", "full_page_writes": "off", "synchronous_commit": "of
 TEMPLATE = "template_goniometer"
 
 
-def start_server(shared: Path) -> str:
+def start_server(shared: Path, *, durable: bool = False) -> str:
     """Address of the server of this run of the tests, with a database that has our tables already.
 
-    `shared` is the run's folder; the first worker that asks starts it, and the last one that ends takes it away.
+    `shared` is the run's folder; the first worker that asks starts it, and the last one that ends takes it away. A
+    `durable` one has what it commits on the disk.
     """
     with FileLock(shared / "postgresql.lock"):
         place = shared / "postgresql"
@@ -38,7 +39,7 @@ def start_server(shared: Path) -> str:
         url = address.render_as_string(hide_password=False)
         with psycopg.connect(url, autocommit=True) as server:
             if server.execute("SELECT 1 FROM pg_database WHERE datname = %s", [TEMPLATE]).fetchone() is None:
-                for name, value in SETTINGS.items():
+                for name, value in () if durable else SETTINGS.items():
                     server.execute(sql.SQL("ALTER SYSTEM SET {} = {}").format(sql.Identifier(name), sql.Literal(value)))
                 server.execute("SELECT pg_reload_conf()")
                 server.execute(f"CREATE DATABASE {TEMPLATE} TEMPLATE template0")

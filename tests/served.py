@@ -15,6 +15,7 @@ import uvicorn
 from api.live import Live, open_live
 from api.tokens import create_token, ensure_first_user
 from api.web.app import make_app
+from api.web.patience import Patient
 
 PATIENCE = 120.0
 """Seconds after which what should have happened is called stuck."""
@@ -83,7 +84,9 @@ def served(folder: Path, database: Path | str | None = None, **options: Any) -> 
     with open_live(database or folder / "goniometer.db", folder / "results", url=url, **options) as live:
         ensure_first_user(live.store)
         token = create_token(live.store, "local", "test")[0]
-        config = uvicorn.Config(make_app(live), log_config=None, access_log=False, timeout_graceful_shutdown=3)
+        config = uvicorn.Config(
+            make_app(live), http=Patient, ws="none", log_config=None, access_log=False, timeout_graceful_shutdown=3
+        )
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()

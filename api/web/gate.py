@@ -6,20 +6,24 @@ something. What changes something is refused unread where nobody knows who asks,
 somebody does.
 """
 
+import asyncio
 import json
+import re
 from hmac import compare_digest
 from http import HTTPStatus
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.audit import Via, record_done
 from api.callers import Callers
 from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthorised
-from api.tokens import Caller, csrf_token
+from api.tokens import PREFIX, Caller, csrf_token
+from api.web import patience
 from api.web.access import Access, cookie_name, shown_by
 from api.web.problems import told
 from goniometer.database import Database
@@ -31,6 +35,7 @@ _PERSONAL = (LOGIN, "/api/me", "/api/users", "/api/tokens")
 """Below these, bodies hold secrets and are never logged, not even where a key is misspelt."""
 _CHANGES_NOTHING = {"/api/campaigns/validate", "/api/campaigns/preview"}
 """A page asks for these while somebody types; the log would hold little else."""
+_TOKEN = re.compile(re.escape(PREFIX) + r"[\w-]+")
 _NOTED = 4096
 """Bytes of another body that the log may hold."""
 
@@ -91,10 +96,17 @@ class Gate:
                 raise NotAllowed("The header X-CSRF-Token is not that of this session; GET /api/me tells it")
 
     async def _watched(self, request: Request, receive: Receive, send: Send) -> None:
-        body, answered, refused = bytearray(), False, False
+        body, answered, refused, whole = bytearray(), False, False, False
 
         async def reading() -> Message:
-            message = await receive()
+            nonlocal whole
+            try:
+                # after the body, an application only waits for whoever asks to go away
+                async with asyncio.timeout(None if whole else patience.BODY_TIME):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(HTTPStatus.REQUEST_TIMEOUT, headers={"Connection": "close"}) from None
+            whole = not message.get("more_body", False)
             if len(body) <= _NOTED:
                 body.extend(message.get("body", b"")[: _NOTED + 1])
             return message
@@ -141,13 +153,13 @@ class Gate:
 
 
 def _sent(request: Request, body: bytes) -> dict[str, Any]:
-    """What the log holds of the query and of a short JSON body."""
+    """What the log holds of the query and of a short JSON body, without tokens that stand where none is asked for."""
     found: dict[str, Any] = {}
     if request.url.query:
-        found["query"] = dict(request.query_params)
+        found["query"] = {name: _TOKEN.sub("a token", value) for name, value in request.query_params.items()}
     if "json" in request.headers.get("content-type", "") and 0 < len(body) <= _NOTED:
         try:
-            found["body"] = json.loads(body)
+            found["body"] = json.loads(_TOKEN.sub("a token", body.decode()))
         except (ValueError, RecursionError):
             found["body"] = "no JSON"
     return found

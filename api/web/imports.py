@@ -1,5 +1,6 @@
 """What was measured elsewhere: a file is sent first, and then a job makes a dataset of it."""
 
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -13,7 +14,7 @@ from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.jobs import submit
-from goniometer.errors import InputError
+from goniometer.errors import InputError, StoreFull
 
 router = APIRouter(prefix="/api", tags=["imports"])
 
@@ -48,20 +49,31 @@ async def upload(
     """Send a file, as it is, to be imported; it is kept until some 50 later ones have come."""
     token, path = await run_in_threadpool(new_upload, live.output, name)
     request.state.about["file"] = name
+    try:
+        size = await _received(request, path, name)
+    except BaseException:  # whoever sent it has gone, too; what came of it is no file
+        path.unlink(missing_ok=True)
+        path.parent.rmdir()
+        raise
+    return Upload(upload=token, name=name, size=size)
+
+
+async def _received(request: Request, path: Path, name: str) -> int:
+    """How many bytes of a body came and were written to `path`."""
     size = 0
-    with path.open("wb") as file:
-        async for chunk in request.stream():
-            size += len(chunk)
-            if size > LARGEST:
-                break
-            await run_in_threadpool(file.write, chunk)
-    if 0 < size <= LARGEST:
-        return Upload(upload=token, name=name, size=size)
-    path.unlink()
-    path.parent.rmdir()
+    try:
+        with path.open("wb") as file:
+            async for chunk in request.stream():
+                size += len(chunk)
+                if size > LARGEST:
+                    told = f"{name} is larger than {LARGEST // 2**20} MiB; import it on the command line of the machine"
+                    raise TooLarge(told)
+                await run_in_threadpool(file.write, chunk)
+    except OSError as error:
+        raise StoreFull(f"{name} cannot be kept ({error.strerror}); make room on the disk of the service.") from error
     if size == 0:
         raise InputError(f"{name}: nothing was sent; send the content of the file as the body of the request.")
-    raise TooLarge(f"{name} is larger than {LARGEST // 2**20} MiB; import it on the command line of the machine")
+    return size
 
 
 @router.post("/datasets/import", status_code=202)

@@ -6,9 +6,14 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from api.bench import conflict
+from api.errors import Conflict
+from api.job_arguments import DoctorArguments
 from api.state import BenchState, Snapshot
+from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
+from api.web.jobs import submit
 from api.web.paging import etag, unchanged
 from goniometer.errors import NotInStore
 
@@ -56,31 +61,6 @@ class Expose(_Order):
 
     integration_time: float = Field(gt=0, le=3600, allow_inf_nan=False, description="Seconds.", examples=[0.1])
     dark: bool = Field(default=False, description="Whether the shutter is closed.")
-
-
-class Doctor(_Order):
-    """How the devices are examined."""
-
-    home: bool = Field(default=False, description="Home stages that do not know their reference; look before.")
-
-
-class Figure(BaseModel):
-    """Something that was read."""
-
-    name: str
-    value: float
-    unit: str
-
-
-class Finding(BaseModel):
-    """What was found about one device."""
-
-    device: str
-    identity: str
-    figures: list[Figure]
-    remarks: list[str] = Field(description="What could not be examined; no fault.")
-    problems: list[str] = Field(description="What is wrong and what to do; empty for a device that is fine.")
-    line: str = Field(description="All of it in one line.")
 
 
 class Spectrum(BaseModel):
@@ -164,10 +144,15 @@ async def stop(live: Here, caller: Operator) -> BenchState:
     return live.worker.state
 
 
-@router.post("/doctor")
-async def doctor(live: Here, caller: Operator, order: Doctor) -> list[Finding]:
-    """Examine every device of a bench that is not connected; answers when that is done, after minutes perhaps."""
-    return [Finding(**finding) for finding in await live.worker.call("doctor", home=order.home)]
+@router.post("/doctor", status_code=202)
+def doctor(live: Here, caller: Operator, asked: DoctorArguments) -> JobView:
+    """Examine every device of a bench that is not connected: a job, whose result is what `doctor --json` prints."""
+    bench = live.worker.state
+    if bench.driver is None or not bench.driver.here:
+        raise Conflict(bench.doing.rstrip("."))
+    if "doctor" not in bench.possible:
+        raise conflict("doctor", bench.phase, bench.doing)
+    return submit(live, caller, "doctor", asked)
 
 
 @router.get("/spectrum", responses={200: {"model": Spectrum, "content": {BINARY: {"schema": {"type": "string"}}}}})

@@ -49,8 +49,12 @@ async def page(path: str) -> Response:
 
     Raises a 404 where there is no such file, also where the pages were not built.
     """
-    file = (STATIC / path).resolve()
-    if path and file.is_relative_to(STATIC.resolve()) and file.is_file():
+    try:
+        file = (STATIC / path).resolve()
+        there = bool(path) and file.is_relative_to(STATIC.resolve()) and file.is_file()
+    except (ValueError, OSError):  # no file can have such a name
+        there = False
+    if there:
         lasting = path.startswith("assets/")
         return FileResponse(file, headers={"Cache-Control": FOR_EVER if lasting else "no-cache"})
     index = STATIC / "index.html"

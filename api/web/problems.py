@@ -50,6 +50,7 @@ TOLD = {
     404: "It is not there.",
     405: "There is no such method here.",
     406: "It does not come in a form that is accepted.",
+    408: "What was being sent did not come for half a minute.",
     409: "It is not possible now; the detail says why and what is.",
     412: "It was changed since it was read.",
     413: "More was sent than is read.",

@@ -1,6 +1,7 @@
 """Two benches on one database: each service drives its own, and everybody sees what was measured on both."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,40 @@ def test_a_stop_stops_its_own_bench_only(tmp_path: Path, database: Path | str) -
         assert right.client.post(f"/api/queue/{entries[right]}/abort").status_code == 200
 
 
+@pytest.mark.slow
+def test_a_service_whose_connections_were_all_lost_drives_again_and_measures(tmp_path: Path, postgresql: str) -> None:
+    with (
+        fresh_database(postgresql) as database,
+        served(tmp_path, database, mounts_by_itself=True) as service,
+    ):
+        number = service.ordered(LONG)
+        wait_for(lambda: service.entry(number)["points_done"] > 3)
+        process = service.state()["driver"]["process"]
+        end_connections(database)
+        wait_for(lambda: service.entry(number)["phase"] in {"idle", "finished"})
+        before = service.entry(number)["points_done"]
+        assert before > 3
+        wait_for(lambda: service.state()["driver"] and service.state()["phase"] in {"ready", "disconnected"})
+        assert service.state()["shutter"] != "open"
+        while (entry := service.entry(number))["points_done"] <= before:  # nothing begins before somebody has looked
+            if entry["phase"] in {"idle", "finished"}:
+                service.client.post(f"/api/queue/{number}/start")
+            time.sleep(0.5)
+        assert service.state()["driver"]["process"] == process
+        service.client.post(f"/api/queue/{number}/abort")
+
+
+def end_connections(database: str) -> None:
+    """End all connections of a database but one's own, as they do with the server."""
+    with outside(database) as other:
+        other.execute(
+            text(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                "WHERE datname = current_database() AND pid <> pg_backend_pid()"
+            )
+        )
+
+
 def test_commands_work_on_a_server_and_print_no_password(postgresql: str, tmp_path: Path, cli: Cli) -> None:
     with fresh_database(postgresql) as database:
         secret = make_url(database).set(password="hunter2hunter2").render_as_string(hide_password=False)
@@ -104,12 +139,6 @@ def test_a_server_that_restarts_costs_an_open_store_nothing(postgresql: str) -> 
     with fresh_database(postgresql) as database:
         store = Store.open(database)
         assert store.campaigns() == {}
-        with outside(database) as other:  # all of its connections end, as they do with the server
-            other.execute(
-                text(
-                    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
-                    "WHERE datname = current_database() AND pid <> pg_backend_pid()"
-                )
-            )
+        end_connections(database)
         assert store.campaigns() == {}
         store.close()

@@ -11,6 +11,7 @@ import pytest
 from api.settings import load_instrument
 from goniometer.campaign import Campaign, Sample
 from goniometer.campaign_file import load_campaign
+from goniometer.tables import BENCH
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,6 +25,7 @@ def test_the_campaign_in_the_documents_shows_the_defaults() -> None:
 
 def test_the_instrument_in_the_documents_is_accepted() -> None:
     shown = load_instrument(ROOT / "docs" / "instrument.toml")
+    assert shown.bench == BENCH
     assert (shown.stages.sample.driver, shown.stages.detector.driver) == ("smc100", "oriental-az")
     assert (shown.geometry.u_angle, shown.geometry.aperture, shown.spectrometer.gain) == (0.005, 1.0, 5.0)
 

@@ -174,6 +174,22 @@ def test_another_password_needs_the_old_one_and_ends_all_sessions(live: Live, br
     assert other.login("anna", new).status_code == 200
 
 
+def test_who_is_logged_in_elsewhere_sees_it_and_ends_it(live: Live, browser: Client) -> None:
+    other = Client(live)
+    other.login("anna", PASSWORD)
+    add_user(live.store, "otto", "admin", PASSWORD)
+    stranger = Client(live)
+    stranger.login("otto", PASSWORD)
+    there, here = other.get("/api/me/sessions").json()
+    assert (there["this"], here["this"]) == (True, False)
+    assert other.cookies["goniometer"] not in other.get("/api/me/sessions").text
+    problem(stranger.request("DELETE", f"/api/me/sessions/{here['id']}"), 404)
+    assert browser.get("/api/me").status_code == 200
+    assert other.request("DELETE", f"/api/me/sessions/{here['id']}").status_code == 204
+    problem(browser.get("/api/me"), 401)
+    assert [each["id"] for each in other.get("/api/me/sessions").json()] == [there["id"]]
+
+
 def test_nobody_learns_which_names_there_are(live: Live, browser: Client) -> None:
     add_user(live.store, "gone", "viewer", PASSWORD)
     Client(live).request("PATCH", "/api/users/gone", json={"disabled": True}, headers=bearer(live))

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import sqlite3
 import subprocess
 import sys
 import time
@@ -12,13 +13,14 @@ from typing import Any
 
 import pytest
 
-from api import job_rows
+from api import audit, job_rows
 from api.errors import Conflict
 from api.events import Events
 from api.job_arguments import ExportArguments, StabilityArguments
 from api.job_rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
 from api.jobs import Jobs
-from goniometer.errors import InputError, NotInStore
+from api.retention import Retention, prune
+from goniometer.errors import InputError, NotInStore, StoreError
 from goniometer.store import Store
 from tests.drawn_dataset import drawn_dataset
 
@@ -137,3 +139,64 @@ def test_a_job_of_another_living_service_is_left_alone_until_that_is_silent(
 def test_what_cannot_be_done_is_refused_before_it_waits(place: Place, arguments: Any, fault: type[Exception]) -> None:
     with pytest.raises(fault):
         arguments.check(place[0])
+
+
+def test_old_jobs_go_with_their_files_and_nothing_else_does(place: Place, tmp_path: Path) -> None:
+    store, path = place
+    output = tmp_path / "results"
+    numbers = [add_job(store, "export", "{}", "anna", "another machine:1:ab").id for _ in range(6)]
+    for number in numbers:
+        begin(store, number)
+        (output / "jobs" / str(number)).mkdir(parents=True)
+        (output / "jobs" / str(number) / "sample.csv").write_text("1")
+    (output / "long").mkdir()
+    for number in numbers[1:]:  # the first one runs, whatever its age
+        finish(store, number, "done", result="{}")
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE jobs SET created = '2020-01-01', finished = '2020-01-01' WHERE id < 6")
+    connection.close()
+    young = numbers[-1]
+    assert prune(store, output, Retention(newest=2, days=30)) == numbers[1:4]
+    assert [each.id for each in job_rows.all_jobs(store, 10)] == [young, numbers[4], numbers[0]]
+    assert sorted(each.name for each in (output / "jobs").iterdir()) == ["1", "5", "6"]
+    assert (output / "long").is_dir()
+    assert prune(store, output, Retention(newest=0, days=30)) == [numbers[4]]
+    assert prune(store, output, Retention(newest=0, days=30)) == []
+    assert add_job(store, "export", "{}", "anna", "another machine:1:ab").id == young + 1, "no number comes again"
+
+
+def test_a_service_deletes_what_is_old_by_itself_and_the_log_says_so(
+    place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, path = place
+    monkeypatch.setattr("api.jobs.PRUNE_EVERY", 1.0)
+    jobs = Jobs(store, path, tmp_path / "results", Events(), kept=Retention(newest=0, days=0))
+    try:
+        done = jobs.submit("export", ExportArguments(dataset=1, format="csv"), "anna")
+        end = time.monotonic() + 120
+        while job_rows.all_jobs(store, 10):
+            assert time.monotonic() < end
+            time.sleep(0.1)
+    finally:
+        jobs.close()
+    assert not (tmp_path / "results" / "jobs" / str(done.id)).exists()
+    assert "delete old jobs" in [row.action for row in audit.entries(store, limit=10)]
+
+
+def test_a_job_ends_with_its_result_although_the_database_was_locked_when_it_did(
+    place: Place, jobs: Jobs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, _ = place
+    refusals = iter(range(2))
+    finished = job_rows.finish
+
+    def locked(*how: Any) -> bool:
+        if next(refusals, None) is not None:
+            raise StoreError("The database is locked")
+        return finished(*how)
+
+    monkeypatch.setattr("api.jobs.AGAIN", 0.05)
+    monkeypatch.setattr(job_rows, "finish", locked)
+    written = jobs.submit("export", ExportArguments(dataset=1, format="csv"), "anna")
+    assert until(store, written.id, lambda found: found.finished).state == "done"
+    assert next(refusals, None) is None

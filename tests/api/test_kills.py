@@ -20,3 +20,13 @@ def test_twenty_kills_in_a_row_lose_nothing_and_change_no_number() -> None:
     assert found["faults"] == []
     assert found["kills"] >= 18  # a backup may be done before it is killed
     assert found["campaigns"] >= 1
+
+
+@pytest.mark.slow
+def test_a_service_that_is_killed_and_started_again_keeps_what_it_confirmed() -> None:
+    command = [sys.executable, "-m", "tests.benchmarks.restarts", "--restarts", "4", "--seed", "7"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=500)
+    assert done.returncode == 0, done.stderr + done.stdout
+    found = json.loads(done.stdout)
+    assert found["faults"] == []
+    assert found["queued"] > 0

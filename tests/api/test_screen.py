@@ -109,7 +109,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
         with service(tmp_path, port) as said:
             assert "#token=" not in said
             # the page that was open comes back by itself, and what was measured is still there
-            expect(page.get_by_text("no live connection")).to_be_hidden()
+            expect(page.get_by_text("The service does not answer")).to_be_hidden()
             expect(page.get_by_role("button", name="Go on")).to_be_visible()
             assert page.get_by_text(re.compile(r"\d+ of about \d+ points")).inner_text() == done
             page.get_by_role("button", name="Go on").click()

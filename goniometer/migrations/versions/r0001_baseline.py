@@ -77,7 +77,8 @@ def _write_anew(connection: Connection, table: Table) -> None:
             connection.execute(insert(new).values(**row))
     else:
         told = ", ".join(name if name in columns else _MISSING.get((table.name, name), "NULL") for name in names)
-        copy = f"INSERT INTO {new.name} ({', '.join(names)}) SELECT {told} FROM {table.name} old"
+        # names of tables and columns only
+        copy = f"INSERT INTO {new.name} ({', '.join(names)}) SELECT {told} FROM {table.name} old"  # nosec B608
         connection.execute(text(copy))
     if table.dialect_options["sqlite"]["autoincrement"]:  # numbers that were given once are not given again
         connection.execute(text("DELETE FROM sqlite_sequence WHERE name = :new"), {"new": new.name})
@@ -101,6 +102,7 @@ def _rewrite(connection: Connection, name: str, column: str, change: Callable[[s
 def _datasets(connection: Connection, columns: set[str]) -> Iterator[dict[str, Any]]:
     """Every dataset as a row of the new table."""
     kept = ", ".join(sorted(columns))
+    one = text(f"SELECT {kept} FROM datasets WHERE id = :id")  # nosec B608 # names of columns only
     for (dataset_id,) in connection.execute(text("SELECT id FROM datasets ORDER BY id")).all():
-        row = connection.execute(text(f"SELECT {kept} FROM datasets WHERE id = :id"), {"id": dataset_id}).one()
+        row = connection.execute(one, {"id": dataset_id}).one()
         yield columns_of(dict(row._mapping))

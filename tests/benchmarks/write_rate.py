@@ -1,0 +1,116 @@
+"""How many points and spectra a second are committed and read, in an SQLite file and on a PostgreSQL server.
+
+    python -m tests.benchmarks.write_rate [ROUNDS]
+
+Both keep what is committed through a power cut: SQLite with synchronous=FULL, the server with fsync; it listens on a
+socket of this machine. They take turns in every round, so that a busy machine is busy for both; shown are rates at the
+median of the rounds, with the lowest and highest, and the median of the ratios of the rounds. A point is begun and then
+finished with one spectrum of 1044 pixels, in two transactions, as a scan does it.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from drivers.arrays import FloatArray
+from drivers.interfaces import Spectrum
+from goniometer.campaign import Campaign, Sample
+from goniometer.geometry import Geometry
+from goniometer.store import Store
+from tests.databases import fresh_database, start_server
+
+POINTS, SPECTRA, BATCH, PIXELS = 100, 100, 10, 1044
+CAMPAIGN = Campaign(name="Rates", samples=(Sample(name="Sample 1", material="sample-1"),))
+
+Work = Callable[[Store, int], int]
+"""Does something on a store and a scan of it, and tells how often."""
+
+
+def main(rounds: int) -> None:
+    """Print a table of rates."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        server = stack.enter_context(fresh_database(start_server(folder, durable=True)))
+        stores = {"SQLite": Store.open(folder / "rates.db"), "PostgreSQL": Store.open(server)}
+        scans = {name: store.scans(store.add_campaign(CAMPAIGN))[1].id for name, store in stores.items()}
+        rates: dict[str, dict[str, list[float]]] = {what: {name: [] for name in stores} for what in WORK}
+        for turn in range(rounds):
+            for what, work in WORK.items():
+                for name in list(stores) if turn % 2 else list(stores)[::-1]:
+                    start = time.perf_counter()
+                    count = work(stores[name], scans[name])
+                    rates[what][name].append(count / (time.perf_counter() - start))
+        for store in stores.values():
+            store.close()
+    print(f"per second at the median of {rounds} rounds (lowest to highest); load {os.getloadavg()[0]:.1f}", end="")
+    print(f" on {os.cpu_count()} cores")
+    print(f"{'':38}{'SQLite':>22}{'PostgreSQL':>22}{'ratio':>8}")
+    for what, found in rates.items():
+        sqlite, postgresql = (np.array(found[name]) for name in stores)
+        ratio = np.median(postgresql / sqlite)
+        print(f"{what:38}{_shown(sqlite):>22}{_shown(postgresql):>22}{ratio:>8.2f}")
+
+
+def _shown(rates: FloatArray) -> str:
+    return f"{np.median(rates):.0f} ({rates.min():.0f} to {rates.max():.0f})"
+
+
+def _spectra(count: int) -> Iterator[Spectrum]:
+    random = np.random.default_rng(1)
+    for number in range(count):
+        yield Spectrum(random.integers(0, 200_001, PIXELS, dtype=np.uint32), 0.1, number, -10.0)
+
+
+def _measure_points(store: Store, scan: int) -> int:
+    before = len(store.points(scan))
+    store.add_points(scan, [Geometry(10.0, angle) for angle in np.linspace(-60, 60, POINTS)])
+    for point, spectrum in zip(store.points(scan)[before:], _spectra(POINTS), strict=True):
+        store.start_point(point.id)
+        store.finish_point(point, point.geometry, [spectrum], "one", 0.0, 1.0, 50.0)
+    return POINTS
+
+
+def _write_spectra(store: Store, scan: int) -> int:
+    for spectrum in _spectra(SPECTRA):
+        store.add_exposures(scan, "dark", [spectrum], "one", 0.0)
+    return SPECTRA
+
+
+def _write_batches(store: Store, scan: int) -> int:
+    spectra = list(_spectra(SPECTRA))
+    for first in range(0, SPECTRA, BATCH):
+        store.add_exposures(scan, "dark", spectra[first : first + BATCH], "one", 0.0)
+    return SPECTRA
+
+
+def _read_spectra(store: Store, scan: int) -> int:
+    return len(store.exposures(scan))
+
+
+def _read_points(store: Store, scan: int) -> int:
+    return len(store.points(scan))
+
+
+def _ask(store: Store, scan: int) -> int:
+    for _ in range(SPECTRA):
+        store.command(scan)
+    return SPECTRA
+
+
+WORK: dict[str, Work] = {
+    "points, two commits each": _measure_points,
+    "spectra written, a commit each": _write_spectra,
+    f"spectra written, {BATCH} a commit": _write_batches,
+    "spectra read": _read_spectra,
+    "points read": _read_points,
+    "small questions": _ask,
+}
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 9)
