@@ -215,7 +215,9 @@ class _Year:
             told = full or (points == _REFERENCE_POINTS and kind in {"dark", "monitor"})
             counts = self._counts[self._exposure % _SPECTRA] if told else self._counts[0][:1]
             spectrum = Spectrum(counts, time, self._exposure, -10.0)
-            row = exposure_row(self._scan, point, kind, geometry, "year", 9.5 * self._exposure, spectrum)
+            # darks were read in a row
+            moment = 9.5 * self._scan if kind == "dark" else 9.5 * self._exposure
+            row = exposure_row(self._scan, point, kind, geometry, "year", moment, spectrum)
             rows.append(row | {"id": self._exposure})
             ids[name].append(self._exposure)
 
