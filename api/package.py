@@ -22,6 +22,7 @@ from goniometer.dataset_table import dataset_to_csv
 from goniometer.errors import InputError, StoreFull
 from goniometer.measured_table import read_content
 from goniometer.store import Store
+from goniometer.wording import check_name
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """Date of every file in a zip, so that the same data give the same bytes."""
@@ -53,7 +54,7 @@ def write_package(
     notes += more
     files = [*parts, *texts(store.dataset(dataset_id), published, parts, notes)]
     if path.suffix.lower() == ".zip":
-        written = write_bytes("package", path, _zipped(path.stem, files))
+        written = write_bytes("package", path, _zipped(path.stem.strip(".") or "package", files))
     else:
         written = _write_folder(path, files)
     return Export("package", written.path, written.sha256, tuple(notes), {"files": [part.path for part in files]})
@@ -114,6 +115,11 @@ def _write_bsdf(store: Store, dataset_id: int, path: Path) -> Export:
 
 def _attached(files: tuple[Path, ...]) -> list[Part]:
     names = [file.name for file in files]
+    for name in names:
+        try:
+            check_name(name)
+        except ValueError as error:
+            raise InputError(f"An attached file cannot be called {name!r}: {error}.") from None
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f'Two attached files are called "{twice[0]}"; give one of them another name.')
     return [Part(f"attached/{file.name}", read_content(file), "Attached by hand") for file in files]

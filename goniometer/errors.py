@@ -25,6 +25,9 @@ GoniometerError
 Every message is one sentence that says what is wrong, where, and what would be right.
 """
 
+_LONGEST = 1500
+"""Characters of a message."""
+
 
 class GoniometerError(Exception):
     """Base of everything that this floor raises."""
@@ -33,11 +36,17 @@ class GoniometerError(Exception):
 
 
 class InputError(GoniometerError):
-    """What the user gave cannot be right; what is quoted of it stays on one line, control characters as escapes."""
+    """What the user gave cannot be right.
+
+    What is quoted of it stays on one line, with control characters as escapes, and of a line without end the middle is
+    left out.
+    """
 
     exit_code = 2
 
     def __init__(self, message: str) -> None:
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
         super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 

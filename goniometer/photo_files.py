@@ -18,6 +18,8 @@ from goniometer.photo_series import Series
 Pixels = NDArray[np.float32]
 
 _TIFF = {".tif", ".tiff"}
+_LARGEST = 2_000_000_000
+"""Bytes of a picture, unpacked; a camera of 150 megapixels has half of it."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,11 @@ def _read_tiff(path: Path, series: Series) -> Frame:
             f"the series."
         )
     try:
-        counts = np.asarray(tifffile.imread(path))
+        with tifffile.TiffFile(path) as file:
+            stated = file.series[0]
+            if stated.size * stated.dtype.itemsize > _LARGEST:
+                raise ValueError(f"it states a picture of {stated.shape} values, more than {_LARGEST / 1e9:g} GB")
+            counts = np.asarray(stated.asarray())
     except (tifffile.TiffFileError, ValueError, OSError, KeyError, IndexError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataFileError(f"{path}: this TIFF cannot be read: {reason}; save it without compression.") from None

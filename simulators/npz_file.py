@@ -34,4 +34,7 @@ def read_npz(content: bytes, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         if sum(part.file_size for part in archive.infolist()) > LARGEST + _HEADERS:
             raise ValueError(f"it unpacks to more than {LARGEST / 1e9:.1f} GB")
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in names}
+        found = {name: arrays[name] for name in names}
+    if odd := [name for name, part in found.items() if not isinstance(part, np.ndarray)]:
+        raise ValueError(f"{odd[0]} is no array")
+    return found

@@ -4,6 +4,7 @@ import json
 import logging
 import re
 import xml.etree.ElementTree as ET
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -120,10 +121,23 @@ def test_nothing_in_a_report_runs(tmp_path: Path) -> None:
     terms = Options(license="CC0-1.0", creators=("=1, <script>\n- [x](javascript:alert(1))",))
     folder = export_dataset(store, made, "package", tmp_path / "package", terms).path
     check_page((folder / "report.html").read_text())
+    odd = export_dataset(store, made, "package", tmp_path / "...zip", terms).path
+    with zipfile.ZipFile(odd) as archive:
+        assert all(".." not in name and not name.startswith("/") for name in archive.namelist())
     for file in folder.rglob("*"):
         assert file.resolve().is_relative_to(folder.resolve())
         assert re.fullmatch(r"[\w.-]+", file.name)
     json.loads((folder / "datapackage.json").read_text())
+
+
+def test_an_attached_file_is_one_line_of_the_checksums(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "bench.db")
+    made = store.add_dataset(None, drawn_dataset("sample-2", seed=5))
+    file = tmp_path / "a\n0000  README.md"
+    file.write_text("1")
+    terms = Options(license="CC0-1.0", creators=("A",), attached=(file,))
+    with pytest.raises(InputError, match="attached file"):
+        export_dataset(store, made, "package", tmp_path / "package", terms)
 
 
 @pytest.mark.parametrize(
