@@ -15,6 +15,7 @@ from urllib.parse import quote
 from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
 from api.job_arguments import (
     ChooseArguments,
+    DoctorArguments,
     ExportAsked,
     HowAsked,
     ImportAsked,
@@ -322,6 +323,11 @@ def choice(job: int) -> Call[ChoiceView]:
 
 
 # Jobs
+
+
+def doctor(how: DoctorArguments | None = None) -> Call[JobView]:
+    """Examine every device of a bench that is not connected."""
+    return post("/api/instrument/doctor", JobView, how or DoctorArguments())
 
 
 def fit(dataset: int, how: HowAsked | None = None) -> Call[JobView]:

@@ -47,6 +47,8 @@ class Database:
 
     def __init__(self, engine: Engine, where: str, file: Path | None, bench: str) -> None:
         self._engine = engine
+        # a server would be asked to begin and to end a transaction around each question
+        self._asking = engine.execution_options(isolation_level="AUTOCOMMIT") if self._postgresql else engine
         self.bench = bench
         """The bench that is run through this handle; what was measured on any is seen."""
         self.where = where
@@ -128,13 +130,13 @@ class Database:
         """
         if self.file is None:
             return None
-        if self._watching is None:
-            where = f"{self.file.as_uri()}?mode=ro"
-            self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
         try:
+            if self._watching is None:
+                where = f"{self.file.as_uri()}?mode=ro"
+                self._watching = sqlite3.connect(where, uri=True, timeout=0, check_same_thread=False)
             # it tells of changes by other connections only, and this one changes nothing
             return int(self._watching.execute("PRAGMA data_version").fetchone()[0])
-        except sqlite3.OperationalError:  # somebody has locked it
+        except sqlite3.DatabaseError:  # somebody has locked it, or it is none any more: who reads it is told
             return None
 
     @contextmanager
@@ -265,7 +267,7 @@ class Database:
 
     def rows(self, query: Select[Any], values: Mapping[str, object] | None = None) -> Sequence[Row[Any]]:
         """What a query finds, with `values` for its parameters."""
-        with self.reading() as connection:
+        with self.faults(), self._asking.connect() as connection:
             return connection.execute(query, values).all()
 
     def row(self, query: Select[Any], what: str) -> Row[Any]:

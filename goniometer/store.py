@@ -225,9 +225,8 @@ class Store(Derived):
 
     def command(self, scan_id: int) -> Command | None:
         """What was asked for and not taken up yet."""
-        with self.reading() as connection:
-            command: Command | None = connection.execute(_COMMAND, {"scan": scan_id}).scalar()
-            return command
+        rows = self.rows(_COMMAND, {"scan": scan_id})
+        return rows[0].command if rows else None
 
     def clear_command(self, scan_id: int, taken: Command | None = None) -> None:
         """Note that the command `taken` has been taken up, and leave one that came meanwhile; None clears any."""

@@ -40,6 +40,7 @@ NAMES = 2500
 """Different samples of the year."""
 BEGINNING = datetime(2025, 1, 1, tzinfo=UTC)
 _POINTS = 100
+_REFERENCE_POINTS = 160
 _SPECTRA = 1000
 _FOUND = "What was found, in a sentence or two; with numbers. " * 3
 
@@ -158,7 +159,7 @@ class _Year:
                 )
             )
             if not place:
-                reference = self._raw(connection, 160, 320, (8, 18, 4), ends, full=full)
+                reference = self._raw(connection, _REFERENCE_POINTS, 320, (8, 18, 4), ends, full=full)
                 continue
             spectra = 194 if place < SAMPLES // 2 + 1 else 195
             ids = self._raw(connection, _POINTS, spectra, (60, 18, 22), ends, full=full)
@@ -210,7 +211,9 @@ class _Year:
 
         def expose(name: str, kind: Any, point: int | None, geometry: Geometry | None, time: float) -> None:
             self._exposure += 1
-            counts = self._counts[self._exposure % _SPECTRA] if full else self._counts[0][:1]
+            # what tells of the lamp in the reference scans is there for all
+            told = full or (points == _REFERENCE_POINTS and kind in {"dark", "monitor"})
+            counts = self._counts[self._exposure % _SPECTRA] if told else self._counts[0][:1]
             spectrum = Spectrum(counts, time, self._exposure, -10.0)
             row = exposure_row(self._scan, point, kind, geometry, "year", 9.5 * self._exposure, spectrum)
             rows.append(row | {"id": self._exposure})

@@ -64,6 +64,7 @@ class WavelengthHistory(Body):
 class History(Body):
     """How the bench has changed."""
 
+    bench: str = Field(description="The one that this service runs; others on the same database are not told of.")
     scans: list[ScanHistory] = Field(description="Oldest first.")
     wavelength: list[WavelengthHistory] = Field(description="Oldest first.")
     stated_wavelength_offset: Number = Field(description="That of the newest scan's instrument file, nm.")
@@ -73,7 +74,9 @@ class History(Body):
 
 def history(store: Store, limit: int) -> History:
     """The newest `limit` scans that are over, and all measurements of the wavelength scale."""
-    over = [scan for scan in store.scans() if scan.phase == "finished" and scan.started is not None]
+    benches = store.benches()
+    mine = (scan for scan in store.scans() if benches[scan.campaign_id] == store.bench)
+    over = [scan for scan in mine if scan.phase == "finished" and scan.started is not None]
     over.sort(key=lambda scan: (scan.started or "", scan.id))
     shown = over[-limit:]
     names = store.campaigns()
@@ -81,6 +84,7 @@ def history(store: Store, limit: int) -> History:
     panel = next((scan for scan in over if scan.kind == "reference" and scan.outcome == "completed"), None)
     stated = store.constants(shown[-1].id).bench if shown else None
     return History(
+        bench=store.bench,
         scans=[
             ScanHistory(
                 scan=scan.id,
@@ -99,7 +103,7 @@ def history(store: Store, limit: int) -> History:
                 created=each.created, offset=number(content["offset"]), u_offset=number(content["u_offset"])
             )
             for each in store.characterisations()
-            if each.kind == "wavelength"
+            if each.kind == "wavelength" and each.bench == store.bench
             for content in [json.loads(each.json)["result"]]
         ],
         stated_wavelength_offset=None if stated is None else stated.wavelength_offset,

@@ -40,7 +40,7 @@ from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 
 NICE = 5
-"""Of the threads that answer requests, on Linux; the bench has 0, and where both want a core it gets three quarters."""
+"""How far threads that answer requests step back, on Linux; of a core that the bench wants, too, it gets 3/4."""
 LARGEST_BODY = 4 << 20
 """Octets of a request; endpoints that take files allow more."""
 
@@ -112,7 +112,8 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
 def _step_back() -> None:
     """Let this thread, and those that it starts, have a processor after the process that drives the bench."""
     if sys.platform == "linux":  # elsewhere it would concern the whole process
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        here = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, here, os.getpriority(os.PRIO_PROCESS, here) + NICE)
 
 
 class _Application(FastAPI):

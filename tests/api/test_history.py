@@ -68,6 +68,7 @@ def test_the_response_to_the_panel_is_the_ratio_of_what_two_scans_of_it_have_rea
     assert first.lamp_change is None, "that of the other one does not"
     assert len(history(store, 2).scans) == 2
     assert history(store, 2).more
+    assert history(Store.open(folder / "goniometer.db", "another"), 60).scans == [], "that bench has measured nothing"
 
 
 def test_datasets_are_found_by_who_queued_their_campaign_and_by_their_checks(small: Small) -> None:

@@ -14,8 +14,11 @@ from typing import Any
 import pytest
 
 from analysis.fit_json import strict_json
+from api import calls
 from api.accounts import add_user
 from api.choose import choice_content, choose_model
+from api.client import Client as PythonClient
+from api.job_arguments import DoctorArguments
 from api.live import Live, open_live
 from api.products import report_dataset
 from api.tokens import create_token
@@ -125,7 +128,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 def test_the_doctor_is_a_job_that_tells_how_far_it_is_and_can_be_stopped(bench: Served) -> None:
-    number = int(bench.client.post("/api/instrument/doctor", json={"home": True}).json()["id"])
+    with PythonClient(bench.url, bench.client.headers["Authorization"].removeprefix("Bearer ")) as client:
+        number = client(calls.doctor(DoctorArguments(home=True))).id
     told = set()
     while (job := bench.client.get(f"/api/jobs/{number}").json())["state"] in {"waiting", "running"}:
         told.add(job["words"])

@@ -132,13 +132,19 @@ def main() -> None:
         headers = {"Authorization": f"Bearer {prepared(file)}"}
         for life in range(asked.restarts):
             child = start(file)
-            wait(lambda life=life: len(urls(file)) > life, child)
-            with httpx.Client(base_url=urls(file)[-1], headers=headers, timeout=PATIENCE, trust_env=False) as client:
-                wait(lambda client=client: _answers(client), child)
-                faults += missing(file, confirmed)
-                killer = threading.Timer(chance.uniform(0.0, LONGEST), os.killpg, (child, signal.SIGKILL))
-                confirmed += order(client, life, killer.start)
-            killer.join()
+            killer = threading.Timer(chance.uniform(0.0, LONGEST), os.killpg, (child, signal.SIGKILL))
+            try:
+                wait(lambda life=life: len(urls(file)) > life, child)
+                with httpx.Client(
+                    base_url=urls(file)[-1], headers=headers, timeout=PATIENCE, trust_env=False
+                ) as client:
+                    wait(lambda client=client: _answers(client), child)
+                    faults += missing(file, confirmed)
+                    confirmed += order(client, life, killer.start)
+                killer.join()
+            finally:
+                with suppress(ProcessLookupError):
+                    os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
         faults += missing(file, confirmed)
         database = Database.as_it_is(file)

@@ -11,13 +11,13 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Boolean, create_engine, text
+from sqlalchemy import Boolean, Engine, create_engine, event, text
 from sqlalchemy.exc import IntegrityError
 
 from goniometer import migrations, tables
 from goniometer.campaign import Sample
 from goniometer.constants import BenchData
-from goniometer.errors import StoreError, StoreOutdated
+from goniometer.errors import StoreError, StoreFull, StoreOutdated
 from goniometer.migrations import baseline
 from goniometer.only_added import protect
 from goniometer.store import Store
@@ -141,6 +141,25 @@ def test_an_upgrade_that_fails_changes_nothing(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="CHECK constraint"):
         upgrade(file)
     assert (shape(file), rows(file, "SELECT * FROM exposures")) == before
+
+
+def test_an_upgrade_that_finds_no_room_changes_nothing_and_is_made_once_there_is(tmp_path: Path) -> None:
+    file = tmp_path / "old.db"
+    build(SCHEMAS[0], file)
+    Store.as_it_is(file).close()
+    before = shape(file), rows(file, "SELECT * FROM exposures")
+
+    def limit(connection: Any, _: object) -> None:
+        connection.execute(f"PRAGMA max_page_count = {file.stat().st_size // 4096 + 2}")
+
+    event.listen(Engine, "connect", limit)
+    try:
+        with pytest.raises(StoreFull):
+            upgrade(file)
+    finally:
+        event.remove(Engine, "connect", limit)
+    assert (shape(file), rows(file, "SELECT * FROM exposures")) == before
+    assert len(upgrade(file).steps) == len(migrations.known())
 
 
 def test_a_database_of_a_newer_program_is_refused(tmp_path: Path) -> None:
