@@ -41,7 +41,7 @@ def read_about(path: Path) -> dict[str, Any]:
     try:
         content = parsed_yaml(text)
     except ValueError as error:
-        raise DataFileError(f"{path}: {error}.") from None
+        raise DataFileError(f"{path}: is no valid YAML or JSON: it {error}.") from None
     try:
         json.dumps(content)
     except (TypeError, ValueError) as error:
