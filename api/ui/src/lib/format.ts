@@ -1,5 +1,8 @@
 /** How numbers are written: with their unit, and an uncertainty in brackets. */
 
+/** Name of a bench that nobody named: where there is only one, there is nothing to tell it from. */
+export const UNNAMED = 'bench';
+
 const MINUS = '\u2212';
 
 export function number(value: number | null | undefined, digits = 2): string {
