@@ -9,6 +9,7 @@ failures` of the scheduler).
 import hashlib
 import logging
 import pickle  # nosec B403 # only between this program and the workers that its user has named
+import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import analysis
 import api
@@ -54,15 +56,13 @@ def connected(address: str) -> Iterator[Executor]:
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is raised
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "10GB"})  # it travels once
+    silent = f"No Dask scheduler answers at {address}; start one there with: dask scheduler, or name another with "
+    silent += "--cluster."
+    _check_answer(address, silent)
     try:
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
-    except (ValueError, TypeError):
-        raise InputError(f'"{address}" is no address of a cluster; it should read tcp://HOST:PORT.') from None
     except OSError:
-        raise ClusterError(
-            f"No Dask scheduler answers at {address}; start one there with: dask scheduler, or name another with "
-            "--cluster."
-        ) from None
+        raise ClusterError(silent) from None
     with client:
         _check_workers(client, address)
         executor = _Cluster(client, address)
@@ -71,6 +71,25 @@ def connected(address: str) -> Iterator[Executor]:
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _check_answer(address: str, silent: str) -> None:
+    """Whether anybody listens at `address`.
+
+    A client of Dask that finds nobody is left half made. Where it is collected as garbage while another one starts,
+    both wait for the same lock for ever; so none is made without need.
+    """
+    parts = urlsplit(address)
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:  # of a port that is no number
+        host, port = None, None
+    if parts.scheme not in {"tcp", "tls"} or not host or not port:
+        raise InputError(f'"{address}" is no address of a cluster; it should read tcp://HOST:PORT.')
+    try:
+        socket.create_connection((host, port), timeout=PATIENCE).close()
+    except OSError:
+        raise ClusterError(silent) from None
 
 
 def _check_workers(client: Any, address: str) -> None:
