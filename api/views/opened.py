@@ -1,5 +1,6 @@
 """A dataset with what its stored fits say, and what it takes long to find out, kept for the next who asks."""
 
+import gc
 import io
 import json
 import logging
@@ -115,6 +116,10 @@ class Datasets:
         """Load what takes seconds the first time; call it in a thread of its own when the service starts."""
         load_conductor()
         xyz_weights(np.array(COLOUR_RANGE))
+        # What is loaded by now stays until the end. To search it for garbage again and again would hold up all answers
+        # for a tenth of a second each time.
+        gc.collect()
+        gc.freeze()
 
     def fill_new(self, stop: threading.Event) -> None:
         """Until `stop` is set, fill what comes into the database as soon as it is there, so that nobody waits for it.
