@@ -1,16 +1,18 @@
 """Whether the web server slows a scan down, and whether it answers in time, under more listeners than there will be.
 
-A campaign runs on the simulated bench, as fast as the computer can, while nobody listens and while 50 streams of events
-and 200 requests a second come from a process of their own; both by turns, so that whatever else the computer does
-meets them alike. What a point costs the process that drives the bench is told in CPU time as well, and so is what the
-server needs for each request and for the streams: where two cores carry server, bench and clients, these take each
-other's turns, and a real bench waits for its stages anyhow.
+A campaign runs on the simulated bench, as fast as the computer can, while nobody listens, while 50 streams of events
+and 200 requests a second come from a process of their own, and while a process that has nothing to do with it computes
+for as long as server and clients did; by turns, so that whatever else the computer does meets them alike. The last says
+what any program costs a scan that takes all that two cores give; a real bench waits for its stages. What a point costs
+the process that drives the bench is told in CPU time as well, and so is what the server needs for each request and for
+the streams.
 
     python -m tests.benchmarks.service_load
 """
 
 import asyncio
 import contextlib
+import json
 import multiprocessing
 import os
 import sqlite3
@@ -34,7 +36,8 @@ CONNECTIONS = 20
 TURN = 5.0
 """Seconds of each turn."""
 TURNS = 4
-"""With and without load, each."""
+"""Of each kind."""
+KINDS = ("nobody listens", f"{STREAMS} streams, {REQUESTS} requests/s", "another program instead")
 PATHS = ("/api/instrument", "/api/instrument", "/api/queue", "/api/scans", "/api/scans/1/points?limit=50")
 SINGLY = 400
 """Requests of each path from which its cost is known."""
@@ -126,6 +129,15 @@ def loading(connection: Connection, port: int, token: str) -> None:
         connection.send((*found, ended.user + ended.system - began.user - began.system))
 
 
+def compute(share: float) -> None:
+    """Take this share of a processor for ever, as a program does that has nothing to do with the service."""
+    text = [{str(number): [float(number)] * 50} for number in range(400)]
+    while True:
+        began = time.perf_counter()
+        json.loads(json.dumps(text))
+        time.sleep((time.perf_counter() - began) * (1 - share) / share)
+
+
 def cpu(process: int) -> float:
     """Seconds that a process has computed for."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -183,31 +195,43 @@ def measure(database: Path, url: str, token: str, server: int) -> None:
         while spent(server, 1.0) > 0.1:  # it loads what views of datasets need
             pass
         bench = client.get("/api/instrument").json()["driver"]["process"]
-    rows: dict[bool, list[tuple[int, float, float, float]]] = {False: [], True: []}
+    rows: dict[str, list[tuple[int, float, float, float]]] = {kind: [] for kind in KINDS}
     latencies: dict[str, list[float]] = {path: [] for path in PATHS}
-    events, client_cpu, needed = 0, 0.0, 0.0
-    for turn in range(2 * TURNS):
-        loaded = turn % 2 == 1
+    events, client_cpu, needed, other = 0, 0.0, 0.0, None
+    for turn in range(len(KINDS) * TURNS):
+        kind = KINDS[turn % len(KINDS)]
         before = cpu(server)
-        if loaded:
+        if kind == KINDS[1]:
             here.send(TURN + 1)
-            time.sleep(1)
+        elif kind == KINDS[2]:
+            other = context.Process(target=compute, args=((needed + client_cpu) / asked(latencies),), daemon=True)
+            other.start()
+        time.sleep(1)
         began = time.monotonic(), points(database), cpu(bench), cpu(server)
         time.sleep(TURN)
         ended = time.monotonic(), points(database), cpu(bench), cpu(server)
-        rows[loaded].append((ended[1] - began[1], ended[0] - began[0], ended[2] - began[2], ended[3] - began[3]))
-        if loaded:
+        rows[kind].append((ended[1] - began[1], ended[0] - began[0], ended[2] - began[2], ended[3] - began[3]))
+        if kind == KINDS[1]:
             told, seen, computed = here.recv()
             events, client_cpu, needed = events + seen, client_cpu + computed, needed + cpu(server) - before
             for path, values in told.items():
                 latencies[path] += values
+        elif other is not None:
+            other.kill()
+            other.join()
+            other = None
     here.send(None)
     clients.join()
     show(rows, latencies, events)
-    asked = sum(map(len, latencies.values())) / REQUESTS  # seconds of load
-    print(f"\nCPU time of {asked:.0f} s of load: server {needed:.1f} s, clients {client_cpu:.1f} s", end="")
-    print(f" ({100 * needed / asked:.0f} % and {100 * client_cpu / asked:.0f} % of a core)\n")
+    loaded = asked(latencies)
+    print(f"\nCPU time of {loaded:.0f} s of load: server {needed:.1f} s, clients {client_cpu:.1f} s", end="")
+    print(f" ({100 * needed / loaded:.0f} % and {100 * client_cpu / loaded:.0f} % of a core)\n")
     show_costs(server, int(url.rpartition(":")[2]), token)
+
+
+def asked(latencies: dict[str, list[float]]) -> float:
+    """Seconds for which there was load."""
+    return sum(map(len, latencies.values())) / REQUESTS
 
 
 def show_costs(server: int, port: int, token: str) -> None:
@@ -225,23 +249,23 @@ def show_costs(server: int, port: int, token: str) -> None:
 
 
 def show(
-    rows: dict[bool, list[tuple[int, float, float, float]]],
+    rows: dict[str, list[tuple[int, float, float, float]]],
     latencies: dict[str, list[float]],
     events: int,
 ) -> None:
     """Print what was measured."""
-    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {TURNS} turns of {TURN:g} s each way\n")
-    print(f"{'':28} {'points/s':>9} {'bench CPU ms/point':>19} {'bench CPU':>10} {'server CPU':>11}")
-    rates, costs = {}, {}
-    for loaded, name in ((False, "nobody listens"), (True, f"{STREAMS} streams, {REQUESTS} requests/s")):
-        done, seconds, bench, server = np.array(rows[loaded]).sum(axis=0)
-        rates[loaded], costs[loaded] = done / seconds, bench / done
+    print(
+        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {TURNS} turns of {TURN:g} s of each kind\n"
+    )
+    print(f"{'':28} {'points/s':>9} {'falls by':>9} {'bench CPU ms/point':>19} {'bench CPU':>10} {'server CPU':>11}")
+    alone = None
+    for kind in KINDS:
+        done, seconds, bench, server = np.array(rows[kind]).sum(axis=0)
+        alone = alone or done / seconds
         print(
-            f"{name:28} {done / seconds:9.1f} {1000 * bench / done:19.2f} {100 * bench / seconds:8.0f} % "
-            f"{100 * server / seconds:9.0f} %"
+            f"{kind:28} {done / seconds:9.1f} {100 * (1 - done / seconds / alone):7.1f} % {1000 * bench / done:19.2f} "
+            f"{100 * bench / seconds:8.0f} % {100 * server / seconds:9.0f} %"
         )
-    print(f"points a second fall by {100 * (1 - rates[True] / rates[False]):.1f} %, ", end="")
-    print(f"CPU time of a point rises by {100 * (costs[True] / costs[False] - 1):.1f} %")
     print(f"a stream saw {events / TURNS / STREAMS:.0f} events a turn\n")
     print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
     for path, values in latencies.items():
