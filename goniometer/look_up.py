@@ -93,10 +93,12 @@ def scans_after(database: Database, scan_id: int, limit: int, campaign_id: int |
 def begun_references(database: Database, limit: int, before: int | None = None) -> list[Scan]:
     """At most `limit` scans of reference panels that have begun, newest first: those with ids below `before`."""
     here = tables.scans.c
-    query = scan_rows().where(here.kind == "reference", here.started.is_not(None)).order_by(here.id.desc())
+    begun = select(here.id).where(here.kind == "reference", here.started.is_not(None)).order_by(here.id.desc())
     if before is not None:
-        query = query.where(here.id < before)
-    return [to_scan(row) for row in database.rows(query.limit(limit))]
+        begun = begun.where(here.id < before)
+    # chosen before anything is counted: how often a scan was repeated is asked for these only
+    query = scan_rows().where(here.id.in_(begun.limit(limit).correlate(None))).order_by(here.id.desc())
+    return [to_scan(row) for row in database.rows(query)]
 
 
 def scans_in_phases(database: Database, phases: Collection[Phase]) -> list[Scan]:

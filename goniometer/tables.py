@@ -92,7 +92,7 @@ scans = Table(
     CheckConstraint("outcome IN ('completed', 'aborted', 'failed')"),
     CheckConstraint("command IN ('pause', 'resume', 'abort')"),
     UniqueConstraint("campaign_id", "number"),
-    Index("scans_by_kind", "kind", "sample"),
+    Index("scans_by_kind", "kind", "sample", "campaign_id"),
     Index("scans_by_phase", "phase"),
 )
 Index("scans_called", func.lower(scans.c.sample))

@@ -9,7 +9,7 @@ revision = "0004"
 down_revision = "0003"
 
 _INDEXES = {
-    "scans_by_kind": ("scans", "kind", "sample"),
+    "scans_by_kind": ("scans", "kind", "sample", "campaign_id"),
     "scans_by_phase": ("scans", "phase"),
     "datasets_of_scan": ("datasets", "scan_id", "sample"),
     "datasets_by_kind": ("datasets", "kind"),
