@@ -327,8 +327,7 @@ def kill_keepers(folder: Path, kills: int, chance: random.Random, tally: Tally) 
     then, now = raw(old), raw(current)
     tally.expect(then == now, "an upgrade changed raw data")
     for _ in range(kills - 2 * (kills // 3)):
-        shutil.copy(old, file)
-        _kill(lambda say: void(upgrade(file)), "upgrade", chance, tally)
+        _kill(lambda: _copy(old, file), lambda say: void(upgrade(file)), "upgrade", chance, tally)
         tally.expect(whole(file) and raw(file) == then, "a killed upgrade changed raw data")
         live(lambda say: void(upgrade(file)), None)
         database = Database.as_it_is(file)
@@ -337,8 +336,9 @@ def kill_keepers(folder: Path, kills: int, chance: random.Random, tally: Tally) 
         tally.expect(raw(file) == then, "an upgrade after a killed one changed raw data")
         _clear(file)
     for _ in range(kills // 3):
+        _clear(file)
         shutil.copy(current, file)
-        _kill(lambda say: _back_up(file, copy), "backup", chance, tally)
+        _kill(lambda: _clear(copy), lambda say: _back_up(file, copy), "backup", chance, tally)
         tally.expect(whole(file) and raw(file) == now, "a killed backup changed the database")
         tally.expect(not copy.exists() or (whole(copy) and raw(copy) == now), "a killed backup left half a copy")
         _clear(copy)
@@ -348,8 +348,7 @@ def kill_keepers(folder: Path, kills: int, chance: random.Random, tally: Tally) 
         _clear(file)
     live(lambda say: _back_up(current, copy), None)
     for _ in range(kills // 3):
-        shutil.copy(old, file)
-        _kill(lambda say: void(restore(copy, file, replace=True)), "restore", chance, tally)
+        _kill(lambda: _copy(old, file), lambda say: void(restore(copy, file, replace=True)), "restore", chance, tally)
         tally.expect(whole(file) and raw(file) == then, "a killed restore left neither the old nor the new database")
         live(lambda say: void(restore(copy, file, replace=True)), None)
         tally.expect(raw(file) == now, "a restore after a killed one did not bring the backup")
@@ -362,13 +361,23 @@ def _back_up(file: Path, copy: Path) -> None:
     database.close()
 
 
-def _kill(work: Work, what: str, chance: random.Random, tally: Tally) -> None:
-    """Have `work` killed at a random moment of what it takes; what was faster than that is not counted."""
+def _kill(prepare: Callable[[], None], work: Work, what: str, chance: random.Random, tally: Tally) -> None:
+    """Have `work` killed at a random moment of what it takes; where it was faster, it is prepared and tried again."""
     place = chance.choice((PLACES[0], PLACES[3]) if what == "upgrade" else PLACES[:1])
-    after = chance.uniform(0, LASTS[what]) if place == PLACES[0] else chance.randrange(60)
-    killed, _ = live(work, Death(place, after))
-    if killed:
-        tally.kills[f"{what}, {place}"] += 1
+    latest = LASTS[what] if place == PLACES[0] else 60
+    while True:
+        prepare()
+        after = chance.uniform(0, latest)
+        killed, _ = live(work, Death(place, after))
+        if killed:
+            break
+        latest = after
+    tally.kills[f"{what}, {place}"] += 1
+
+
+def _copy(source: Path, target: Path) -> None:
+    _clear(target)
+    shutil.copy(source, target)
 
 
 def _clear(file: Path) -> None:
