@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from api.cli import app
+from api.commands.main import app
 from api.datasets import find_datasets
 from goniometer.campaign import Campaign, Sample
 from goniometer.errors import NotInStore

@@ -14,8 +14,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from api.cli_quality import register
-from api.quality import settings_of
+from api.commands.quality import register
+from api.results.quality import settings_of
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Campaign, Integration, Sample
 from goniometer.dataset import Check, Flag

@@ -27,9 +27,9 @@ from distributed.protocol.pickle import dumps
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.report import NO_RUN
 from api.cluster import connected
-from api.derive import derive
 from api.executor import processes
-from api.products import fit_datasets
+from api.results.derive import derive
+from api.results.products import fit_datasets
 from goniometer.store import Store
 from simulators.choices import Kernel
 from simulators.diffraction import seen_through

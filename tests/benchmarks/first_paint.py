@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from api.tokens import create_token
-from tests.api.test_screen import CHROMIUM
+from api.access.tokens import create_token
+from tests.api.browser import CHROMIUM
 from tests.served import served
 
 TIMES = 10

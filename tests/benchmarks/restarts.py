@@ -25,9 +25,9 @@ from typing import Any
 
 import httpx
 
-from api import audit
-from api.serve import Listen, serve
-from api.tokens import create_token, ensure_first_user
+from api.access import audit
+from api.access.tokens import create_token, ensure_first_user
+from api.web.serve import Listen, serve
 from goniometer.database import Database
 from goniometer.integrity import check
 from goniometer.store import Store

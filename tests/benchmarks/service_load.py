@@ -161,7 +161,7 @@ def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        command = [sys.executable, "-c", "from api.cli import main; main()", "serve", "--port", "0"]
+        command = [sys.executable, "-c", "from api.commands.main import main; main()", "serve", "--port", "0"]
         command += ["--mount-by-itself", "-d", str(folder / "bench.db"), "-o", str(folder / "results")]
         with (folder / "log").open("w") as log:
             process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)

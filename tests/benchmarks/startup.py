@@ -26,7 +26,7 @@ COMMANDS = (
 def took(arguments: tuple[str, ...]) -> tuple[float, float]:
     """Seconds by the clock and of processors."""
     before, used = time.perf_counter(), os.times()
-    command = [sys.executable, "-c", "from api.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", "from api.commands.main import main; main()", *arguments]
     subprocess.run(command, capture_output=True, check=True)
     after = os.times()
     busy = after.children_user + after.children_system - used.children_user - used.children_system

@@ -23,9 +23,9 @@ import numpy as np
 from sqlalchemy import event
 from typer.testing import CliRunner
 
-from api.certificates import known_certificates
-from api.cli import app
+from api.commands.main import app
 from api.datasets import find_datasets
+from api.results.certificates import known_certificates
 from api.service import active_scan
 from goniometer import look_up
 from goniometer.catalogue import Wanted
