@@ -56,7 +56,7 @@ PROOFS = {
     "Where to measure": (
         Benchmark("sampling", 3),
         Benchmark("sampling_search", 2, "60"),
-        Benchmark("planning_cost", 0.3),
+        Benchmark("planning_cost", 0.3, environment=ONE_THREAD),
         Benchmark("sector", 2, "1"),
     ),
     "Models and fits": (

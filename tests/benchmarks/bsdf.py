@@ -175,7 +175,7 @@ def main(page: Path | None) -> None:
         panels.append(panel(alpha, found, first=not panels))
         usual = min((file for file in found if file.budget == USUAL), key=lambda file: file.size)
         how = f"kB ({usual.method}, dE00 p99 {usual.colour:.2f})"
-        tell(f"alpha {alpha:g}: smallest file with a budget of {USUAL:.0%}", usual.size / 1e3, how)
+        tell(f"alpha {alpha:g}: smallest file with a budget of {100 * USUAL:g} %", usual.size / 1e3, how)
         for what, error, aim in (
             ("median", usual.error.median, "< 1"),
             ("99th percentile", usual.error.p99, f"<= {100 * USUAL:g}"),
