@@ -11,6 +11,8 @@ import sys
 import time
 from statistics import median
 
+from tests.benchmarks.figures import tell
+
 ROUNDS = 15
 COMMANDS = (
     ("--help",),
@@ -34,13 +36,12 @@ def took(arguments: tuple[str, ...]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print a line for each."""
-    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
+    """Tell both for each."""
     for arguments in COMMANDS:
         took(arguments)
         clock, busy = (median(each) for each in zip(*(took(arguments) for _ in range(ROUNDS)), strict=True))
-        print(f"goniometer {' '.join(arguments):24} {clock:5.2f} s, of processors {busy:5.2f} s")
-    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
+        aim = "< 0.3" if arguments == ("--help",) else ""
+        tell(f"`goniometer {' '.join(arguments)}`", clock, f"s ({busy:.2f} s of processors)", aim)
 
 
 if __name__ == "__main__":
