@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from api.demo import demo
+
 from api.service import QUIET
 from tests.benchmarks.figures import tell
 

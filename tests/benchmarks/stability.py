@@ -8,8 +8,9 @@ makes what `goniometer stability` makes, with RUNS (5) measurements of every cel
 import os
 import sys
 
-from api.executor import processes
 from api.stability import silent_line
+
+from api.executor import processes
 from simulators.choices import ABOUT, METHODS
 from simulators.ensemble import ensemble, jobs
 from tests.benchmarks.figures import tell
