@@ -45,7 +45,7 @@ def test_the_page_names_what_was_missed_what_failed_and_what_was_not_run(written
     assert "- [kills](#kills): answer: 61.5 ms, aim < 50: the disk is slow" in text
     assert "- [kills](#kills): it ended with exit code 1" in text
     assert "### year" in text
-    assert "Not run yet." in text
+    assert "Not run yet; `python -m tests.benchmarks year` does." in text
     assert "says nothing of itself" not in text
     assert "- `test_measured.py`: The page of figures" in text
 

@@ -73,12 +73,12 @@ PROOFS = {
     ),
     "Speed against accuracy, stability, and scenes": (
         Benchmark("stability", 3.5),
-        Benchmark("choose", 3, "128"),
+        Benchmark("choose", 5, "512"),
         Benchmark("scene_scan", 3, "1.0"),
     ),
     "Into a renderer": (
-        Benchmark("bsdf", 2),
-        Benchmark("render_time", 2),
+        Benchmark("bsdf", 3),
+        Benchmark("render_time", 3),
     ),
     "The service, its screen and the command line": (
         Benchmark("service_load", 2),
@@ -90,7 +90,7 @@ PROOFS = {
         Benchmark("restarts", 2),
         Benchmark("write_rate", 0.5),
         Benchmark("cluster", 1),
-        Benchmark("year", 3, "10000 0.003"),
+        Benchmark("year", 4, "10000 0.01"),
     ),
     "The whole": (Benchmark("suite", 15, named=True),),
 }

@@ -47,4 +47,5 @@ def tell(what: str, value: float, unit: str = "", aim: str = "", because: str = 
     verdict = ""
     if aim:
         verdict = "met" if met(value, aim) else MISSED + (f": {because}" if because else "")
-    print(f"| {what} | {shown(value)}{f' {unit}' if unit else ''} | {aim} | {verdict} |", flush=True)
+    wanted = aim.replace("<=", "≤").replace(">=", "≥")
+    print(f"| {what} | {shown(value)}{f' {unit}' if unit else ''} | {wanted} | {verdict} |", flush=True)

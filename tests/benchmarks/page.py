@@ -64,7 +64,7 @@ def write(proofs: Mapping[str, Iterable[str]], outcomes: Mapping[str, Outcome]) 
         "of the benchmarks again and leaves all other figures, with their dates. Every figure was printed by the "
         "command above it. Sizes were chosen so that all takes less than 40 minutes on two idle cores; the text of "
         "each benchmark says how to ask for more. Clock times depend on what else the machine did, which `load` tells.",
-        *(f"Machine {number}: {each}." for number, each in enumerate(machines, 1)),
+        *(f"Machine{f' {number}' * (len(machines) > 1)}: {each}." for number, each in enumerate(machines, 1)),
         *_summary(outcomes),
     ]
     for proof, names in proofs.items():
@@ -95,7 +95,7 @@ def _summary(outcomes: Mapping[str, Outcome]) -> list[str]:
 def _section(name: str, outcome: Outcome | None, machines: list[str]) -> list[str]:
     about = first_sentence(Path(__file__).with_name(f"{name}.py"))
     if outcome is None:
-        return [about, "Not run yet."]
+        return [about, f"Not run yet; `python -m tests.benchmarks {name}` does."]
     when = f"{outcome.date}, code {outcome.commit}, {outcome.minutes:.1f} min, {outcome.processors:.1f} of processors"
     when += f", load {outcome.load:.1f} before"
     where = f", machine {machines.index(outcome.machine) + 1}" if len(machines) > 1 else ""

@@ -213,6 +213,7 @@ def main() -> None:
             print(f"{variant}: {error}")
             continue
         show(found, by_variant[variant], rendered(found, variant, 2, depth=2), variant)
+    tell("variants of Mitsuba that work here", len(by_variant), f"of {len(VARIANTS)}: {', '.join(by_variant)}")
     if arguments.page is not None:
         caption = escape("Median and quartiles of the rounds, rendered by turns.")
         body = ["<h1>Render times</h1>", figure([chart(found, by_variant)], caption, "alone")]

@@ -117,7 +117,7 @@ def main(tolerance: float = 0.5, names: Sequence[str] = CHOSEN) -> None:
             )
     kinds = {"directional": ("directional lights", "<= 0.25"), "around": ("environments", "<= 0.667")}
     for kind, (lights, aim) in kinds.items():
-        alone_ratio = f"(over one of the same tolerance {np.median(alone_ratios[kind]):.2f})"
+        alone_ratio = f"({np.median(alone_ratios[kind]):.2f} of one of the same tolerance)"
         what = f"{lights}, dE00 {tolerance:g}: points over those of a scan of all directions, median"
         tell(what, np.median(ratios[kind]), alone_ratio, aim)
     tell("scans that reach the tolerance in their scene", met, f"of {count}", f"= {count}")

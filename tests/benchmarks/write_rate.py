@@ -59,12 +59,12 @@ def main(rounds: int) -> None:
     print(f"per second at the median of {rounds} rounds (lowest to highest); load {os.getloadavg()[0]:.1f}", end="")
     print(f" on {os.cpu_count()} cores")
     for what, found in rates.items():
-        sqlite = np.array(found["SQLite"])
-        for name in stores:
-            mine = np.array(found[name])
-            span = f"a second ({mine.min():.0f} to {mine.max():.0f})"
-            times = "" if name == "SQLite" else f", {np.median(mine / sqlite):.2f} times SQLite's"
-            tell(f"{what}, {name}", np.median(mine), span + times)
+        sqlite, *others = (np.array(found[name]) for name in stores)
+        bare, server = (f"{np.median(other / sqlite):.2f}" for other in others)
+        span = f"a second ({sqlite.min():.0f} to {sqlite.max():.0f})"
+        tell(
+            f"{what}, SQLite", np.median(sqlite), f"{span}; without hashes {bare} times that, PostgreSQL {server} times"
+        )
 
 
 def _known(row: Mapping[Any, Any]) -> str:
