@@ -278,7 +278,8 @@ def status(
     if left_out["campaigns"]:
         out.print(f"Older campaigns, shown with --last: {left_out['campaigns']}", highlight=False)
     for scan, entry in zip(scans, found, strict=True):
-        state = "interrupted" if entry["interrupted"] else entry["outcome"] or entry["phase"]
+        phase = "not begun" if entry["phase"] == "idle" else entry["phase"]
+        state = "interrupted" if entry["interrupted"] else entry["outcome"] or phase
         datasets = f", dataset {', '.join(map(str, entry['datasets']))}" if entry["datasets"] else ""
         what = called(scan.name, scan.kind)
         count = f"{entry['points_done']} points"
@@ -295,6 +296,13 @@ def status(
         out.print(f"Older datasets of no campaign, shown with --last: {left_out['datasets']}", highlight=False)
 
 
+_OBEYED: dict[Command, str] = {
+    "pause": "after the point in hand",
+    "resume": "in a moment",
+    "abort": "at once",
+}
+
+
 def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
     def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
         from api.service import active_scan
@@ -305,8 +313,7 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
         if as_json:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})
         else:
-            name = called(scan.name, scan.kind)
-            told = f"Asked the scan of {name} to {verb}; it obeys after the point in hand, an abort at once."
+            told = f"Asked the scan of {called(scan.name, scan.kind)} to {verb}; it obeys {_OBEYED[verb]}."
             Terminal().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
@@ -403,10 +410,11 @@ def main() -> NoReturn:
     for floor in ("drivers", "goniometer"):
         logging.getLogger(floor).addHandler(_Warnings(logging.WARNING))
     try:
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], prog_name="goniometer", standalone_mode=False)
         sys.stdout.flush()
     except UsageError as error:
-        _fail(f"{error.format_message().rstrip('.')}; see goniometer --help", 2)
+        command = error.ctx.command_path if error.ctx else "goniometer"
+        _fail(f"{error.format_message().rstrip('.')}; see {command} --help", 2)
     except (GoniometerError, AnalysisError) as error:
         _fail(str(error), error.exit_code)
     except DriverError as error:

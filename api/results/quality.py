@@ -15,6 +15,7 @@ from analysis.budget_figure import (
     share_in_words,
     side_by_side,
 )
+from analysis.notation import uncertainty, with_uncertainty
 from api.datasets import too_noisy
 from api.results.derive import Export, write_text
 from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
@@ -143,7 +144,8 @@ def budget_lines(dataset_id: int, found: Budget, done: str) -> list[str]:
     return [
         f"Dataset {dataset_id}, {found.sample}: {done} at θ in = {found.theta_in:.2f}°, "
         f"θ out = {found.theta_out:.2f}°, {found.wavelength:.1f} nm".replace("-", "−"),
-        f"f = {found.brdf:.5g} 1/sr ± {found.expanded:.2g} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE})",
+        f"f = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded ± {uncertainty(found.expanded)} 1/sr "
+        f"(k = {COVERAGE_FACTOR}: {COVERAGE})",
     ]
 
 
