@@ -152,15 +152,15 @@ class Direction(_Moving):
 
     def check_value(self, value: Sequence[float]) -> None:
         """Raise `GeometryError` where the bench cannot measure at (theta_in, theta_out), degrees."""
-        self._line.instrument.check(_geometry(value))
+        self._line.instrument.arm.check(_geometry(value))
 
     def set(self, value: Sequence[float]) -> Done:
         """Move to (theta_in, theta_out), degrees; raises `GeometryError` at once where the bench cannot measure."""
         wanted = _geometry(value)
-        self._line.instrument.check(wanted)
+        self._line.instrument.arm.check(wanted)
         self._wanted = wanted.theta_in, wanted.theta_out
         targets = wanted.sample_angle, wanted.detector_angle
-        return self._line.do(lambda: self._line.move(targets, self._line.instrument.goto(wanted)))
+        return self._line.do(lambda: self._line.move(targets, self._line.instrument.arm.goto(wanted)))
 
     async def locate(self) -> dict[str, tuple[float, float] | None]:
         """Where it was sent, None before that, and where it is, both (theta_in, theta_out), degrees."""
@@ -185,7 +185,7 @@ class Direction(_Moving):
         return {"fields": list(self.describe())}
 
     async def _here(self) -> Geometry:
-        return from_stages(*await self._line.ask(self._line.instrument.standing))
+        return from_stages(*await self._line.ask(self._line.instrument.arm.standing))
 
 
 class Stage(_Moving):
@@ -206,12 +206,12 @@ class Stage(_Moving):
         """Where it was sent, None before that, and where it is, degrees."""
         return {
             "setpoint": self._wanted,
-            "readback": (await self._line.ask(self._line.instrument.standing))[self._axis],
+            "readback": (await self._line.ask(self._line.instrument.arm.standing))[self._axis],
         }
 
     async def read(self) -> Reading:
         """What the stage reads now."""
-        here = await self._line.ask(self._line.instrument.standing)
+        here = await self._line.ask(self._line.instrument.arm.standing)
         return {self.name: {"value": here[self._axis], "timestamp": time.time()}}
 
     def describe(self) -> Reading:
@@ -224,13 +224,13 @@ class Stage(_Moving):
         return {"fields": [self.name]}
 
     async def _go(self, angle: float) -> None:
-        here = await self._line.instrument.standing()
+        here = await self._line.instrument.arm.standing()
         # a stage that stays is sent where it was sent before, not where it reads now: else it would creep
         sample, detector = (
             angle if axis == self._axis else here[axis] if target is None else target
             for axis, target in enumerate(self._line.targets)
         )
-        await self._line.move((sample, detector), self._line.instrument.face_source(sample, detector))
+        await self._line.move((sample, detector), self._line.instrument.arm.face_source(sample, detector))
 
 
 class Setting(_Device):

@@ -96,7 +96,7 @@ class Auxiliary:
         self._campaign = campaign
         self._detector = detector_of(raw.constants)
         self._darks = darks
-        self._spec = plan_spec(campaign, instrument.motion)
+        self._spec = plan_spec(campaign, instrument.arm.motion)
         self._direction = monitor_direction(self._spec)
         self._prescan = campaign.prescan if store.scan(raw.scan_id).kind == "sample" else None
         self._swept = {sweep.shot.geometry.theta_in for sweep in raw.sweeps}
@@ -127,7 +127,7 @@ class Auxiliary:
         stray = policy.maximum if self._stray_time is None else self._stray_time
         time = self._monitor_time
         look = unknown_exposure(once(policy)) if time is None else Expected(time, time, time)
-        motion = self._instrument.motion
+        motion = self._instrument.arm.motion
         due = besides(campaign, motion, len(angles), lasts, stray, look, self._darks.to_come(campaign))
         if self._prescan is None:
             return due
@@ -143,7 +143,7 @@ class Auxiliary:
     async def _look_at_lamp(self, onward: Geometry) -> None:
         """One spectrum in the fixed direction, of the integration time of the first one of this scan."""
         instrument = self._instrument
-        here = await self._reach("the lamp is not monitored", instrument.goto, self._direction, onward)
+        here = await self._reach("the lamp is not monitored", instrument.arm.goto, self._direction, onward)
         if here is None:
             self._looked = instrument.clock.now()  # not again at the next point
             return
@@ -164,7 +164,7 @@ class Auxiliary:
         time, shortest = policy.maximum, ladder(policy)[0]
 
         async def go(facing: Geometry) -> Geometry:
-            return await instrument.face_source(facing.theta_in)
+            return await instrument.arm.face_source(facing.theta_in)
 
         facing = Geometry(point.theta_in, -point.theta_in)
         here = await self._reach("stray light is not measured", go, facing, point)
@@ -200,7 +200,7 @@ class Auxiliary:
         """Go `there`, if the arm can also go `onward` from there, and return what `go` does; else warn."""
         start, end = ((g.sample_angle, g.detector_angle) for g in (there, onward))
         try:
-            safe_path(start, end, self._instrument.forbidden)
+            safe_path(start, end, self._instrument.arm.forbidden)
             return await go(there)
         except GeometryError as error:
             log.warning("At theta_in = %g deg %s: %s", there.theta_in, otherwise, error)

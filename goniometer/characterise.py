@@ -91,7 +91,7 @@ async def measure_noise(
     if panel.saturated.any():
         raise CharacterisationError("The white panel saturates the detector at its shortest time; dim the light")
     await mount("nothing")
-    await instrument.goto(geometry)
+    await instrument.arm.goto(geometry)
     light = np.stack([spectrum.counts for spectrum in await instrument.sequence(integration_time, scans)])
     darks = np.stack([(await instrument.dark(integration_time)).counts for _ in range(scans)])
     inside = (wavelengths >= certificate.wavelengths[0]) & (wavelengths <= certificate.wavelengths[-1])
@@ -153,7 +153,7 @@ def _possible(instrument: Instrument, wanted: Iterable[Geometry]) -> list[Geomet
     possible = []
     for geometry in wanted:
         try:
-            instrument.check(geometry)
+            instrument.arm.check(geometry)
         except GeometryError:
             continue
         possible.append(geometry)
@@ -222,7 +222,7 @@ async def _returns(
         aside = AWAY if above else -AWAY
         at = (sample + offset, detector) if stage == "sample" else (sample, detector + offset)
         away = (at[0] + aside, at[1]) if stage == "sample" else (at[0], at[1] + aside)
-        await meter.instrument.goto(from_stages(*away))
+        await meter.instrument.arm.goto(from_stages(*away))
         readings.append(await meter.read(from_stages(*at), time=time))
         time = readings[0].integration_time
         wanted.append(at[0] if stage == "sample" else at[1])

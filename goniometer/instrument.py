@@ -13,15 +13,14 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from drivers.clock import Clock
-from drivers.errors import DeviceFault, DeviceTimeout, DriverError, ProtocolError
-from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum, StagePhase, StageState
+from drivers.errors import DeviceFault, DriverError, ProtocolError
+from drivers.interfaces import Light, RotationStage, Spectrometer, Spectrum
 from drivers.travel import travel_time
+from goniometer.arm import Arm
 from goniometer.constants import BenchData, Constants
-from goniometer.errors import GeometryError
-from goniometer.geometry import Geometry, check, from_stages
-from goniometer.moves import ARRIVAL, Move, both, bring, faults_of, followed, home, not_ready, ready
-from goniometer.route import Motion, StageMotion, approach
-from goniometer.safety import Forbidden, Limits, Standing, check_standing, check_sweep, grown, raised, safe_path
+from goniometer.geometry import Geometry
+from goniometer.moves import faults_of
+from goniometer.safety import Forbidden, Standing
 from goniometer.track import SWEEP_MARGIN, Passage, passages
 
 TEMPERATURE_DRIFT = 1.0
@@ -35,19 +34,11 @@ as a halogen lamp has next to no violet and a point is exposed until its brighte
 DARK_PARTS = 16
 """In which a dark spectrum is looked at; the median of each does not see single hot pixels."""
 
-REST_TIME = 5.0
-"""Seconds in which a stage that was told to stop must rest."""
-
-REST_POLL = 0.05
-"""Seconds between two looks at a stage that should come to rest."""
-
 RECOVERY_PAUSES = (1.0, 5.0, 20.0, 60.0)
 """Seconds between the attempts to make the devices usable again: a hub comes back at once, a fuse does not."""
 
 NOMINAL = BenchData()
 """A bench of which nothing was stated."""
-
-_MOVING = {StagePhase.MOVING, StagePhase.HOMING}
 
 log = logging.getLogger(__name__)
 
@@ -73,48 +64,19 @@ class Instrument:
         """The time in which the bench lives."""
         self.session = uuid.uuid4().hex
         """Names whose clock moments are read from: those of two sessions, as of two processes, cannot be compared."""
-        self.forbidden = grown(forbidden, backlash)
-        """Where the arm must never be sent, and through which it must not pass; with the room that backlash takes."""
-        self._sample_stage = sample_stage
-        self._detector_stage = detector_stage
+        self.arm = Arm(sample_stage, detector_stage, clock, forbidden=forbidden, backlash=backlash, settling=settling)
+        """The two stages as one."""
         self._spectrometer = spectrometer
         self._light = light
         self._data = data
-        self._regions = forbidden
-        self._backlash = backlash
-        self._settling = settling
         # None where it is not known, as at the start and after anything went wrong.
-        self._sample_target: float | None = None
-        self._detector_target: float | None = None
         self._shutter_open: bool | None = None
         self._last_count: int | None = None
         self._lamp_since = math.inf  # on the clock; infinite where no lamp was switched on
-        # names of stages that did not read what they read when they were left
-        self._astray: set[str] = set()
-        # what the stages read after homing, and corners of the rectangle somewhere in which the arm is now
-        self._marks: Standing = (0.0, 0.0)
-        self._whereabouts = {self._marks}
-        # of the arm when it is not slowed down for a sweep; None while it has it
-        self._cruising: float | None = None
         # None until the first spectrum; they stay when devices are reopened, as the scan goes on
         self._pixels: int | None = None
         self._temperature: float | None = None
         self._last_spectrum: Spectrum | None = None
-
-    @property
-    def limits(self) -> Limits:
-        """Where the sample stage and the detector stage may be sent, degrees."""
-        return raised((self._sample_stage.limits, self._detector_stage.limits), self._backlash)
-
-    @property
-    def motion(self) -> Motion:
-        """How the stages move, as far as it is known once they are open."""
-        stages = self._sample_stage, self._detector_stage
-        sample, detector = (
-            StageMotion(stage.velocity, stage.acceleration, backlash, settling)
-            for stage, backlash, settling in zip(stages, self._backlash, self._settling, strict=True)
-        )
-        return Motion(sample, detector)
 
     @property
     def u_angle(self) -> float:
@@ -167,26 +129,10 @@ class Instrument:
         """
         self._forget()
         await self._spectrometer.open()
-        await self._sample_stage.open()
-        await self._detector_stage.open()
+        await self.arm.open()
         await self._set_shutter(False)
         await self._switch_lamp_on()
-        await self._home()
-
-    async def home(self) -> None:
-        """Find both reference marks again; `open` has found them before.
-
-        Raises `GeometryError` before anything moves where a forbidden region may lie on the way.
-        """
-        check_sweep(self._whereabouts | {self._marks}, self._regions)
-        self._forget_targets()
-        self._whereabouts.add(self._marks)
-        await self._home()
-        self._astray.clear()
-
-    async def stages(self) -> tuple[StageState, StageState]:
-        """What the sample and the detector stage do now, as they say; may be asked at any time."""
-        return await self._sample_stage.state(), await self._detector_stage.state()
+        await self.arm.find_marks()
 
     async def temperature(self) -> float:
         """Of the detector now, degrees Celsius; waits for an integration to end."""
@@ -197,7 +143,7 @@ class Instrument:
         spectrometer = self._spectrometer
         return Constants(
             await spectrometer.identity(),
-            {stage.name: await stage.identity() for stage in (self._sample_stage, self._detector_stage)},
+            {stage.name: await stage.identity() for stage in self.arm.stages},
             await spectrometer.wavelengths(),
             await spectrometer.nonlinearity(),
             spectrometer.saturation,
@@ -207,75 +153,6 @@ class Instrument:
     async def wavelengths(self) -> FloatArray:
         """[pixels] nanometres, as the spectrometer tells them."""
         return await self._spectrometer.wavelengths()
-
-    def check(self, geometry: Geometry) -> None:
-        """Raise `GeometryError` where the bench, its stages, a region or the blocked sector forbid `geometry`."""
-        check(geometry)
-        where = f"theta_in = {geometry.theta_in:g}, theta_out = {geometry.theta_out:g} deg"
-        if geometry.blocked:
-            raise GeometryError(
-                f"{where} is not possible: the detector would stand in the beam; keep 5 deg away from the source axis"
-            )
-        try:
-            check_standing((geometry.sample_angle, geometry.detector_angle), self.limits, self.forbidden)
-        except GeometryError as error:
-            raise GeometryError(f"{where}: {error}") from None
-
-    async def goto(self, geometry: Geometry) -> Geometry:
-        """Move the stages, each only if it must, and return the geometry that they read back.
-
-        Both move at once where no forbidden region lies between, else one after the other; one that has backlash
-        arrives upwards, and the arm has settled when this returns. Raises `GeometryError`
-        before anything moves where the arm cannot go; `DeviceFault` where a stage is not ready, e.g. because it was
-        switched off and on between two points, does not read what it read when it was left, or does not read back
-        where it was sent; `ProtocolError` where it reads two different angles at rest.
-        """
-        self.check(geometry)
-        return await self._go((geometry.sample_angle, geometry.detector_angle))
-
-    async def standing(self) -> Standing:
-        """What the two stages read at rest, degrees; raises `DeviceFault` for one that is not ready."""
-        return await both(ready(self._sample_stage), ready(self._detector_stage))
-
-    async def face_source(self, theta_in: float, detector_angle: float = 0.0) -> Geometry:
-        """Stand with the detector in front of the source, where it sees stray light only, and return the read-back.
-
-        `detector_angle` is measured from the source axis, degrees: the edges of the blocked sector show where the stage
-        is zero. No sample is measured there. Raises as `goto` does.
-        """
-        wanted = theta_in, detector_angle
-        check_standing(wanted, self.limits, self.forbidden)
-        return await self._go(wanted)
-
-    async def _go(self, wanted: Standing) -> Geometry:
-        """What `goto` does, once it is known that the arm may stand where it is wanted."""
-        left = targets = self._sample_target, self._detector_target
-        self._forget_targets()
-        await self._cruise()  # where a sweep before could not
-        here = await both(ready(self._sample_stage), ready(self._detector_stage))
-        self._whereabouts.add(here)  # a stage that has lost count is perhaps still where it was left
-        self._check_left(targets, here)
-        first = approach(here, wanted, targets, self._backlash)
-        stops = safe_path(here, first, self._regions)
-        for stop in [*stops, *([wanted] if first != wanted else [])]:
-            # on the way only the stage moves whose turn it is; in the end each that was not sent there before
-            fixed = targets if stop in (first, wanted) else here
-            stays = [fixed[axis] == stop[axis] for axis in range(2)]
-            self._whereabouts = {here, stop}
-            stages = self._sample_stage, self._detector_stage
-            moves = [Move(stages[axis], here[axis], stop[axis], stays[axis]) for axis in range(2)]
-            sample, detector = await bring(self.clock, moves)
-            targets = (
-                targets[0] if stays[0] else stop[0],
-                targets[1] if stays[1] else stop[1],
-            )
-            here = sample, detector
-        self._whereabouts = {here}
-        settling = [self._settling[axis] for axis in range(2) if left[axis] != wanted[axis]]
-        if any(settling):
-            await self.clock.sleep(max(settling))
-        self._sample_target, self._detector_target = wanted
-        return from_stages(*here)
 
     async def expose(self, integration_time: float) -> Spectrum:
         """One spectrum with the shutter open; `integration_time` in seconds.
@@ -306,41 +183,22 @@ class Instrument:
         `ProtocolError` and `DeviceFault` where a spectrum is not the one that was asked for or part of the way was not
         seen. The arm has its former velocity again afterwards, or, where it cannot be told so, after `recover`.
         """
-        ends = [check(Geometry(theta_in, theta_out)) for theta_out in (start, stop)]
-        (_, begin), (_, end) = way = [(g.sample_angle, g.detector_angle) for g in ends]
-        for standing in way:
-            check_standing(standing, self.limits, self.forbidden)
-        safe_path(way[0], way[1], self.forbidden)
-        stage, spectrometer = self._detector_stage, self._spectrometer
-        sample = (await self._go(way[0])).sample_angle
+        end = Geometry(theta_in, stop)
+        sample = await self.arm.begin_sweep(Geometry(theta_in, start), end)
         await self._set_shutter(True)
-        self._forget_targets()
-        self._whereabouts = {(sample, begin), (sample, end)}
-        seconds = travel_time(end - begin, velocity, stage.acceleration)
-        self._cruising = stage.velocity
-        faults: list[DriverError] = []
-        try:
-            await stage.set_velocity(velocity)
-            track = [(self.clock.now(), await stage.position())]
-            scans = math.ceil((seconds + SWEEP_MARGIN) / integration_time)
+        seconds = travel_time(stop - start, velocity, self.arm.motion.detector.acceleration)
+        scans = math.ceil((seconds + SWEEP_MARGIN) / integration_time)
+        spectrometer = self._spectrometer
+        async with self.arm.slowed(velocity):
+            track = [await self.arm.reading()]
             begun = await spectrometer.begin_sequence(integration_time, scans)
-            await stage.begin_move(end)
-            track += await followed(stage, self.clock, end, seconds, look=integration_time / 2)
+            track += await self.arm.sweep(end, seconds, look=integration_time / 2)
             spectra = await spectrometer.collect_sequence(begun)
-            await self.clock.sleep(self._settling[1])  # the next point may lie where the sweep ends
-        finally:
-            faults = await faults_of(self._cruise())
-        if faults:
-            raise faults[0]
-        self._whereabouts = {(sample, track[-1][1])}
-        # a stage with backlash that came from above does not stand where it is wanted
-        self._sample_target = theta_in
-        self._detector_target = None if end < begin and self._backlash[1] else end
         if len(spectra) != scans:
             raise ProtocolError(f"{spectrometer.name}: delivered {len(spectra)} spectra where {scans} were asked")
         checked = [await self._checked(spectrum, integration_time) for spectrum in spectra]
         step = velocity * integration_time
-        return passages(stage.name, checked, track, step), sample
+        return passages(self.arm.stages[1].name, checked, track, step), sample
 
     async def dark(self, integration_time: float) -> Spectrum:
         """One spectrum with the shutter closed; `integration_time` in seconds.
@@ -364,10 +222,10 @@ class Instrument:
         tried and every fault logged, then the first one is raised. `DeviceTimeout` where a stage goes on moving.
         """
         self._forget()
-        stages = self._sample_stage, self._detector_stage
+        stages = self.arm.stages
         # tasks begin in this order, and a stop is on the wire before it first waits
         faults = await faults_of(*(stage.stop() for stage in stages), self._set_shutter(False))
-        faults += await faults_of(*(self._rest(stage) for stage in stages))
+        faults += await faults_of(*(self.arm.rest(stage) for stage in stages))
         if faults:
             raise faults[0]
 
@@ -390,23 +248,13 @@ class Instrument:
     async def close(self) -> None:
         """Disconnect from all devices; harmless when not connected. Every device is tried."""
         self._forget()
-        faults = await faults_of(self._sample_stage.close(), self._detector_stage.close(), self._spectrometer.close())
+        faults = await faults_of(*(stage.close() for stage in self.arm.stages), self._spectrometer.close())
         if faults:
             raise faults[0]
 
-    def _check_left(self, left: tuple[float | None, float | None], here: tuple[float, float]) -> None:
-        """Raise `DeviceFault` where a stage has lost count since it was left; one without encoder shows it only now."""
-        for stage, angle, reads in zip((self._sample_stage, self._detector_stage), left, here, strict=True):
-            if angle is not None and not abs(reads - angle) <= ARRIVAL:
-                self._astray.add(stage.name)
-                raise DeviceFault(f"{stage.name}: reads {reads:.3f}° where it was left at {angle:.3f}°; home it")
-
-    def _forget_targets(self) -> None:
-        self._sample_target = self._detector_target = None
-
     def _forget(self) -> None:
         """Nothing is known of the devices any more."""
-        self._forget_targets()
+        self.arm.forget()
         self._shutter_open = None
         self._last_count = None
 
@@ -447,63 +295,10 @@ class Instrument:
         self._last_spectrum = spectrum
         return spectrum
 
-    async def _home(self) -> None:
-        """Find both reference marks; the detector stage first where regions are forbidden."""
-        if self._regions:
-            detector = await home(self._detector_stage)
-            sample = await home(self._sample_stage)
-            unbounded = (-math.inf, math.inf)  # a mark may lie outside the range that is used
-            check_standing((sample, detector), (unbounded, unbounded), self._regions)
-        else:
-            sample, detector = await both(home(self._sample_stage), home(self._detector_stage))
-        self._marks = sample, detector
-        self._whereabouts = {self._marks}
-
-    async def _cruise(self) -> None:
-        """Give the arm the velocity back that it had before a sweep."""
-        if self._cruising is not None:
-            await self._detector_stage.set_velocity(self._cruising)
-            self._cruising = None
-
-    async def _rest(self, stage: RotationStage) -> None:
-        """Return when `stage` rests. One that still moves is told to stop again.
-
-        A command that another task had given before may have reached the device after the stop.
-        """
-        begin = self.clock.now()
-        while (state := await stage.state()).phase in _MOVING:
-            if self.clock.now() - begin > REST_TIME:
-                raise DeviceTimeout(
-                    f"{stage.name}: is still {state.phase.value} {REST_TIME:g} s after it was stopped; switch it off"
-                )
-            await stage.stop()
-            await self.clock.sleep(REST_POLL)
-
     async def _revive(self) -> None:
         """One attempt to make every device usable."""
         self._forget()
         await self._spectrometer.open()
         await self._set_shutter(False)
         await self._switch_lamp_on()
-        for axis, stage in ((1, self._detector_stage), (0, self._sample_stage)):
-            try:
-                state = await stage.state()
-            except DriverError as error:
-                log.warning("%s (reopening it)", error)
-                await stage.close()
-                await stage.open()
-                state = await stage.state()
-            if state.phase in _MOVING:
-                await self._rest(stage)
-                state = await stage.state()
-            if state.phase is not StagePhase.READY:
-                log.warning("%s (homing it)", not_ready(stage, state))
-            if state.phase is not StagePhase.READY or stage.name in self._astray:
-                mark = self._marks[axis]
-                homed = {(s, mark) if axis else (mark, d) for s, d in self._whereabouts}
-                check_sweep(self._whereabouts | homed, self._regions)
-                self._whereabouts |= homed
-                await stage.home()
-                self._whereabouts = homed
-                self._astray.discard(stage.name)
-        await self._cruise()
+        await self.arm.revive()

@@ -102,9 +102,9 @@ class Meter:
         `face_source` allows directions in which the detector stands in front of the source.
         """
         if face_source:
-            reached = await self.instrument.face_source(geometry.sample_angle, geometry.detector_angle)
+            reached = await self.instrument.arm.face_source(geometry.sample_angle, geometry.detector_angle)
         else:
-            reached = await self.instrument.goto(geometry)
+            reached = await self.instrument.arm.goto(geometry)
         spectrum = await (self._well_exposed() if time is None else self.instrument.expose(time))
         return reading(reached, [spectrum], await self.darks(spectrum.integration_time), self.constants)
 

@@ -101,8 +101,8 @@ async def run_campaign(
     store.end_stale_scans()
     check_limits(campaign.integration, instrument)
     if campaign.prescan is not None:
-        check_prescan(campaign.prescan, instrument.integration_limits, instrument.motion)
-    check_plan(plan_spec(campaign), instrument.limits, instrument.forbidden)
+        check_prescan(campaign.prescan, instrument.integration_limits, instrument.arm.motion)
+    check_plan(plan_spec(campaign), instrument.arm.limits, instrument.arm.forbidden)
     campaign_id = store.add_campaign(campaign, certificate)
     before_spot = campaign.homogeneity is not None
     scans = store.scans(campaign_id)
@@ -170,7 +170,7 @@ class _Run:
         self.report = report
         self.campaign = store.campaign(scan.campaign_id)
         self.batches = batches(
-            store, scan, self.campaign, plan_spec(self.campaign, instrument.motion, instrument.u_angle)
+            store, scan, self.campaign, plan_spec(self.campaign, instrument.arm.motion, instrument.u_angle)
         )
         self.ahead: tuple[list[Geometry], Foreseen] | None = None
         self.policy = self.campaign.integration
@@ -178,7 +178,7 @@ class _Run:
             changes = {"scans": self.campaign.reference.scans, "signal_to_noise": None}
             self.policy = self.policy.model_copy(update=changes)
         budget = self.campaign.resolution.time if scan.kind == "sample" else None
-        self.estimate = Estimate(store, scan.id, instrument.motion, self.policy, budget)
+        self.estimate = Estimate(store, scan.id, instrument.arm.motion, self.policy, budget)
         # Repeats stored exposures, so that choosing an exposure does not read them all again.
         self.seen: dict[float, list[tuple[float, Brightness]]] = {}
         self.began = time.monotonic()
@@ -405,7 +405,7 @@ class _Run:
         self.tell("running", point.geometry)
         began = self.instrument.clock.now()
         await self.auxiliary.before(point.geometry)
-        read_back = await self.instrument.goto(point.geometry)
+        read_back = await self.instrument.arm.goto(point.geometry)
         predicted = predict(point.geometry.theta_out, self.seen.get(point.geometry.theta_in, []))
         taken = await take(self.instrument, self.detector, self.policy, predicted, self.darks.of)
         seconds = self.instrument.clock.now() - began

@@ -92,7 +92,7 @@ class Readiness:
             await pass_time(self._clock, missing, "warming the lamp", self._tell)
 
     async def _lamp_is_steady(self, most: float, within: float) -> None:
-        await self._instrument.goto(monitor_direction(plan_spec(self._campaign)))
+        await self._instrument.arm.goto(monitor_direction(plan_spec(self._campaign)))
         before, change = await self._look(None), np.inf
         while True:
             pause = max(before.moment + within - before.time / 2 - self._clock.now(), 0.0)

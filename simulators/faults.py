@@ -14,8 +14,6 @@ one fault a line::
 
 Requests are counted from 1 since the script was made, and count whether or not they reach the device. Several faults
 may befall the same request. Wire faults last in real seconds, because a client's own timeouts are real.
-
-FaultScriptError    a line of a script that cannot be read, or a fault that cannot happen
 """
 
 import math
@@ -28,6 +26,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Self
 
+from simulators.errors import FaultScriptError
+
 GARBAGE_BYTES = 8
 """The most bytes of noise in front of a reply."""
 SPLIT_PIECES = 8
@@ -36,12 +36,6 @@ SPLIT_PAUSE = 0.001
 """Real seconds between two of them."""
 REMEMBERED = 16
 """How many earlier replies may come back as a foreign one."""
-
-
-class FaultScriptError(Exception):
-    """A line of a script that cannot be read, or a fault that cannot happen."""
-
-    exit_code = 2
 
 
 class Kind(StrEnum):

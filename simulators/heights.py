@@ -10,14 +10,10 @@ import numpy as np
 import scipy
 
 from drivers.arrays import FloatArray
-from goniometer.errors import InputError
+from simulators.errors import UnfitTopography
 
 FALLEN_TO = 0.2
 """Autocorrelation at which the autocorrelation length is read (ISO 25178-2, default of Sal)."""
-
-
-class UnfitTopography(InputError):
-    """A height map that has no surface, or not the one that a computation needs."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from analysis.fresnel import Conductor, fresnel_conductor, load_conductor
 from analysis.models import cosine_slope, theta_m
 from drivers.arrays import FloatArray
 from goniometer.certificate import NOMINAL_SRS99, Certificate
-from goniometer.errors import InputError
 from goniometer.material_file import material_file
+from simulators.errors import UnknownMaterial
 from simulators.surfaces import PATCHES, SANDBLASTED, SANDED, Surface, colorchecker_patch, over_aperture, surface_brdf
 from simulators.tabulated import Tabulated, tabulated_brdf
 from simulators.tabulated_file import read_tabulated
@@ -30,10 +30,6 @@ _NARROW = 0.05
 
 _AT_ONCE = 64
 """Points that are computed together: as many as keep the arrays within a processor's cache."""
-
-
-class UnknownMaterial(InputError):
-    """A material that is not in the store room of the bench, or one that has no BRDF."""
 
 
 @dataclass(frozen=True)

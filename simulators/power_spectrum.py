@@ -19,7 +19,8 @@ from scipy import fft
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
-from simulators.heights import HeightField, UnfitTopography, complete
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField, complete
 
 SingleArray = NDArray[np.float32]
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField, UnfitTopography
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField
 from simulators.ray_scan import RayScan
 
 BIN = 5.0

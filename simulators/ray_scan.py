@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import FloatArray
-from simulators.rays import LIMIT, ORDERS, Entry, Terrain, UnfitRays, collected, tabulated
+from simulators.errors import UnfitRays
+from simulators.rays import LIMIT, ORDERS, Entry, Terrain, collected, tabulated
 from simulators.surfaces import Reflectance
 
 HIGHEST = 85.0

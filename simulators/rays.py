@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import BoolArray, CountArray, FloatArray
-from goniometer.errors import InputError
+from simulators.errors import UnfitRays
 from simulators.heights import HeightField, around
 from simulators.surfaces import Reflectance
 
@@ -34,10 +34,6 @@ _NODES = 4097
 
 Entry = tuple[float, float, float, float]
 """Rectangle through which light comes in, um, at the height of the highest point: lowest x and y, highest x and y."""
-
-
-class UnfitRays(InputError):
-    """Rays that cannot be traced, or a detector that cannot collect them."""
 
 
 @dataclass(frozen=True)

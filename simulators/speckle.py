@@ -29,7 +29,8 @@ from scipy import fft
 from analysis.directions import Aperture
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
-from simulators.heights import HeightField, UnfitTopography, complete
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField, complete
 from simulators.power_spectrum import transformed_columns
 
 Harmonic = NDArray[np.complex64]

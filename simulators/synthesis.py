@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField, UnfitTopography, complete
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField, complete
 from simulators.materials import Material
 
 Spectrum = Callable[[FloatArray, FloatArray], FloatArray]

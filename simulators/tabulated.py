@@ -26,7 +26,7 @@ import scipy
 
 from analysis.directions import Aperture, through_aperture
 from drivers.arrays import FloatArray
-from goniometer.errors import InputError
+from simulators.errors import UnfitTable
 
 FLOOR = 1e-6
 """1/sr that are added before the logarithm is taken: what is darker is dark."""
@@ -39,10 +39,6 @@ _EDGE = 0.5
 
 _ACROSS = 4
 """Incident angles through which is read between them."""
-
-
-class UnfitTable(InputError):
-    """A file that holds no table of a material, or a dataset of which none can be made."""
 
 
 @dataclass(frozen=True)

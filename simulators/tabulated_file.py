@@ -19,8 +19,9 @@ from drivers.arrays import BoolArray, FloatArray
 from goniometer.dataset import Dataset
 from goniometer.fill import fill
 from goniometer.reciprocity import rows_of
+from simulators.errors import UnfitTable
 from simulators.npz_file import read_bytes, read_npz
-from simulators.tabulated import Row, Tabulated, UnfitTable
+from simulators.tabulated import Row, Tabulated
 
 WIDEST_GAP = 3.0
 """Degrees of theta_out between two directions of a table from which on those in between are filled."""

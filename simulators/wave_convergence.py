@@ -14,7 +14,8 @@ from analysis.models import LAMBDA_N
 from drivers.arrays import FloatArray
 from goniometer.uncertainty import combined
 from simulators.computed import PRECISION, Computed, computed_dataset
-from simulators.heights import HeightField, UnfitTopography, every_second
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField, every_second
 from simulators.sampling import refined
 from simulators.wave_scan import DARK, MOST_POINTS, Setup, average, seen
 

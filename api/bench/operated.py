@@ -123,7 +123,7 @@ class OperatedBench:
     async def home(self) -> None:
         """Find both reference marks again. Raises `Conflict`, `GeometryError` and `DriverError`."""
         instrument = self._ready("home")
-        await self._do("busy", "Finding the reference marks.", instrument.home())
+        await self._do("busy", "Finding the reference marks.", instrument.arm.home())
 
     async def jog(self, sample: float | None, detector: float | None) -> None:
         """Turn the stages to these angles, degrees from the source axis; None leaves one where it is.
@@ -133,9 +133,9 @@ class OperatedBench:
         instrument = self._ready("jog")
 
         async def work() -> None:
-            here = [state.position for state in await instrument.stages()]
+            here = [state.position for state in await instrument.arm.states()]
             to = (here[0] if sample is None else sample, here[1] if detector is None else detector)
-            await instrument.face_source(*to)
+            await instrument.arm.face_source(*to)
 
         told = " and ".join(
             f"the {name} stage to {angle:g}°"
@@ -209,7 +209,7 @@ class OperatedBench:
         if instrument is None or clock < self._silent_until:
             return
         try:
-            states = await instrument.stages()
+            states = await instrument.arm.states()
             if self.phase == "ready":
                 self.temperature = round(await instrument.temperature(), 2)
         except DriverError:
@@ -252,7 +252,7 @@ class OperatedBench:
                 moving=state is not None and state.phase in {StagePhase.MOVING, StagePhase.HOMING},
                 limits=limits,
             )
-            for name, state, limits in zip(_STAGES, states, instrument.limits, strict=True)
+            for name, state, limits in zip(_STAGES, states, instrument.arm.limits, strict=True)
         )
 
     def _ready(self, command: str) -> Instrument:

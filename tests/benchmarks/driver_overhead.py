@@ -93,7 +93,7 @@ async def _one_bench(instrument: Any, backend: Any) -> float:
     try:
 
         async def whole(number: int) -> None:
-            await instrument.goto(Geometry(30.0, -20.0 + 0.5 * (number % 100)))
+            await instrument.arm.goto(Geometry(30.0, -20.0 + 0.5 * (number % 100)))
             await instrument.expose(EXPOSURE)
 
         async def stage(which: Any, angle: float) -> None:
@@ -105,7 +105,7 @@ async def _one_bench(instrument: Any, backend: Any) -> float:
             assert (await which.state()).phase is StagePhase.READY
             await which.position()
 
-        sample, detector = instrument._sample_stage, instrument._detector_stage
+        sample, detector = instrument.arm.stages
         point = _told("point, whole (detector stage moves)", await _measure(usb, whole))
         _told("sample stage stays", await _measure(usb, lambda _: stay(sample)))
         _told("sample stage moves", await _measure(usb, lambda n: stage(sample, 20.0 + 0.5 * (n % 50))))

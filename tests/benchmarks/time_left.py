@@ -41,7 +41,7 @@ async def watch(store: Store) -> tuple[list[tuple[float, Progress]], tuple[Expec
 
         certificate = certificate_csv(PANEL_CERTIFICATE)
         await run_campaign(store, CAMPAIGN, instrument, mount, report, lambda _: None, certificate)
-        return told, tuple(leg.time for leg in preview(CAMPAIGN, instrument.motion).legs)
+        return told, tuple(leg.time for leg in preview(CAMPAIGN, instrument.arm.motion).legs)
 
 
 def compared(foreseen: Expected, true: float) -> str:

@@ -70,7 +70,7 @@ def test_the_wanted_signal_to_noise_ratio_is_the_scatter_of_a_point_that_is_repe
                     darks[time] = DarkSignal(counts.mean(0), counts.var(0, ddof=1).mean(), temperature)
                 return darks[time]
 
-            await instrument.goto(Geometry(30.0, theta_out))
+            await instrument.arm.goto(Geometry(30.0, theta_out))
             rates = []
             for _ in range(30):
                 taken = await take(instrument, detector, policy, None, dark)
@@ -236,7 +236,7 @@ def test_stray_light_that_would_saturate_is_measured_in_less_time(store):
 
 def test_a_bench_whose_arm_cannot_stand_before_the_source_measures_without_stray_light_and_says_so(store, caplog):
     def change(instrument):
-        instrument.forbidden = (Forbidden(sample=(20.0, 40.0), detector=(-4.0, 4.0)),)
+        instrument.arm.forbidden = (Forbidden(sample=(20.0, 40.0), detector=(-4.0, 4.0)),)
 
     campaign = changed(stray_light=True, outgoing=OutgoingRange(start=-20.0, stop=85.0))
     with caplog.at_level(logging.WARNING, logger="goniometer.auxiliary"):
@@ -306,14 +306,14 @@ def test_a_resumed_scan_looks_at_the_lamp_first_and_as_it_did_before(store):
 
 def test_a_fault_on_the_way_to_the_lamp_costs_a_point_one_attempt_and_is_not_met_again_at_the_next(store):
     def change(instrument):
-        goto, visits = instrument.goto, iter(range(10**6))
+        goto, visits = instrument.arm.goto, iter(range(10**6))
 
         async def jammed(geometry):
             if geometry == Geometry(30.0, 30.0) and next(visits) == 1:
                 raise DeviceTimeout("detector stage: it did not arrive within 20 s.")
             return await goto(geometry)
 
-        instrument.goto = jammed
+        instrument.arm.goto = jammed
 
     campaign = changed(monitor=Monitor(every=200.0), resolution=Resolution(mode="uniform", step=20.0))
     asyncio.run(run(store, campaign, change=change))

@@ -68,7 +68,7 @@ def test_every_target_is_approached_upwards_and_only_once_beyond_it(family):
             Geometry(10.0, -40.0),
             Geometry(10.0, 0.0),
         ):
-            await instrument.goto(geometry)
+            await instrument.arm.goto(geometry)
         assert moves[0] == pytest.approx([20.0, 9.0, 10.0], abs=0.01)
         assert moves[1] == pytest.approx([30.0, 50.0, -32.5, -30.0, 10.0], abs=0.01)
 
@@ -77,10 +77,10 @@ def test_every_target_is_approached_upwards_and_only_once_beyond_it(family):
 
 def test_a_stage_of_which_nobody_knows_from_where_it_came_takes_up_its_backlash():
     async def work(instrument, moves):
-        await instrument.goto(Geometry(0.5, 1.0 + 5.0))  # right after homing, near the marks
+        await instrument.arm.goto(Geometry(0.5, 1.0 + 5.0))  # right after homing, near the marks
         assert moves[0] == pytest.approx([-0.5, 0.5], abs=0.01)
         await instrument.safe()
-        await instrument.goto(Geometry(0.5, 6.0))
+        await instrument.arm.goto(Geometry(0.5, 6.0))
         assert moves[0][2:] == pytest.approx([-0.5, 0.5], abs=0.01)
         assert moves[1] == pytest.approx([6.5, 4.0, 6.5], abs=0.01)
 
@@ -94,15 +94,15 @@ def test_a_path_takes_the_time_that_the_plan_expects(family, slack):
     path = [Geometry(20.0, float(a)) for a in [*random.uniform(0, 80, 15), *sorted(random.uniform(-15, 80, 15))]]
 
     async def work(instrument, moves):
-        await instrument.goto(path[0])
+        await instrument.arm.goto(path[0])
         begin = instrument.clock.now()
         for geometry in path[1:]:
-            await instrument.goto(geometry)
-        taken, foreseen = instrument.clock.now() - begin, travel(path, instrument.motion).seconds
+            await instrument.arm.goto(geometry)
+        taken, foreseen = instrument.clock.now() - begin, travel(path, instrument.arm.motion).seconds
         # what is left is the way in which drivers ask whether a motion has ended
         assert foreseen <= taken + 1e-6
         assert taken == pytest.approx(foreseen, rel=0.02)
-        for axis, stage in enumerate((instrument.motion.sample, instrument.motion.detector)):
+        for axis, stage in enumerate((instrument.arm.motion.sample, instrument.arm.motion.detector)):
             assert (stage.backlash, stage.settling) == (slack[axis], SETTLING[axis])
 
     on_bench(family, work, backlash=slack)
@@ -114,13 +114,13 @@ def test_what_could_only_be_reached_through_a_forbidden_region_is_refused_before
     async def work(instrument, moves):
         for refused in (Geometry(40.5, 15.0), Geometry(35.0, 27.0)):
             with pytest.raises(GeometryError, match="forbidden region with the sample stage at 30 to 41"):
-                await instrument.goto(refused)
+                await instrument.arm.goto(refused)
         with pytest.raises(GeometryError, match=r"outside -87\.5 to 175"):
-            await instrument.face_source(0.0, -87.6)
+            await instrument.arm.face_source(0.0, -87.6)
         with pytest.raises(GeometryError, match="forbidden region with the sample stage at 30 to 41"):
-            check_plan(PlanSpec((40.5,)), instrument.limits, instrument.forbidden)
+            check_plan(PlanSpec((40.5,)), instrument.arm.limits, instrument.arm.forbidden)
         assert moves == ([], [])
-        await instrument.goto(Geometry(41.0, 15.0))
+        await instrument.arm.goto(Geometry(41.0, 15.0))
 
     on_bench("smc100", work, forbidden=(region,))
 

@@ -115,7 +115,7 @@ def axes(laboratory):
 def test_light_behind_a_shutter_that_does_not_close_is_never_a_dark_signal(laboratory, integration_time):
     async def work(instrument):
         laboratory.bench.mount("mirror")
-        await instrument.goto(Geometry(30.0, 30.0))
+        await instrument.arm.goto(Geometry(30.0, 30.0))
         assert (await instrument.dark(integration_time)).counts.max() < 5000
         lit = (await instrument.expose(integration_time)).counts
         assert (lit == instrument.saturation).any()
@@ -141,12 +141,12 @@ def test_the_arm_goes_around_a_forbidden_region_on_its_way(laboratory):
     async def work(instrument):
         watching = asyncio.create_task(watch())
         for geometry in (Geometry(60.0, 30.0), Geometry(10.0, 40.0), Geometry(60.0, 20.0)):
-            read = await instrument.goto(geometry)
+            read = await instrument.arm.goto(geometry)
             assert read.theta_in == pytest.approx(geometry.theta_in, abs=0.01)
             assert read.theta_out == pytest.approx(geometry.theta_out, abs=0.01)
         watching.cancel()
         with pytest.raises(GeometryError, match="forbidden region"):
-            await instrument.goto(Geometry(30.0, 10.0))
+            await instrument.arm.goto(Geometry(30.0, 10.0))
 
     on_bench(laboratory, work, forbidden=(holder,))
     assert len(seen) > 100
@@ -156,17 +156,17 @@ def test_the_arm_goes_around_a_forbidden_region_on_its_way(laboratory):
 
 def test_only_for_stray_light_the_detector_stands_before_the_source(laboratory):
     async def work(instrument):
-        await instrument.goto(Geometry(60.0, 30.0))
+        await instrument.arm.goto(Geometry(60.0, 30.0))
         with pytest.raises(GeometryError, match="in the beam"):
-            await instrument.goto(Geometry(30.0, -30.0))
-        read = await instrument.face_source(30.0)
+            await instrument.arm.goto(Geometry(30.0, -30.0))
+        read = await instrument.arm.face_source(30.0)
         assert (read.theta_in, read.detector_angle) == pytest.approx((30.0, 0.0), abs=0.01)
         assert axes(laboratory)[1].position() == pytest.approx(0.0, abs=0.01)
-        instrument.forbidden = (Forbidden(sample=(55.0, 90.0), detector=(-3.0, 3.0)),)
+        instrument.arm.forbidden = (Forbidden(sample=(55.0, 90.0), detector=(-3.0, 3.0)),)
         with pytest.raises(GeometryError, match="forbidden region"):
-            await instrument.face_source(60.0)
+            await instrument.arm.face_source(60.0)
         with pytest.raises(GeometryError, match="outside -5 to 90"):
-            await instrument.face_source(95.0)
+            await instrument.arm.face_source(95.0)
 
     on_bench(laboratory, work)
 
@@ -187,8 +187,8 @@ def test_a_stage_that_lost_its_reference_is_not_homed_through_a_forbidden_region
 
     async def work(instrument):
         sample, detector = axes(laboratory)
-        await instrument.goto(Geometry(60.0, -30.0))
-        moving = asyncio.create_task(instrument.goto(Geometry(60.0, 40.0)))
+        await instrument.arm.goto(Geometry(60.0, -30.0))
+        moving = asyncio.create_task(instrument.arm.goto(Geometry(60.0, 40.0)))
         await until(lambda: detector.position() > 50.0)
         laboratory.detector_stage.restart()
         with pytest.raises(DriverError):
@@ -212,12 +212,12 @@ def test_a_stage_that_was_switched_off_and_on_between_two_points_is_not_taken_fo
     laboratory, same_angle
 ):
     async def work(instrument):
-        await instrument.goto(Geometry(30.0, 10.0))
+        await instrument.arm.goto(Geometry(30.0, 10.0))
         laboratory.sample_stage.restart()
         with pytest.raises(DeviceFault, match="sample stage: is not referenced"):
-            await instrument.goto(Geometry(30.0 if same_angle else 40.0, 20.0))
+            await instrument.arm.goto(Geometry(30.0 if same_angle else 40.0, 20.0))
         await instrument.recover()
-        read = await instrument.goto(Geometry(30.0, 20.0))
+        read = await instrument.arm.goto(Geometry(30.0, 20.0))
         assert read.theta_in == pytest.approx(30.0, abs=0.01)
 
     on_bench(laboratory, work)
@@ -225,17 +225,17 @@ def test_a_stage_that_was_switched_off_and_on_between_two_points_is_not_taken_fo
 
 def test_a_stage_that_was_turned_by_hand_between_two_points_is_homed_before_anything_is_measured(laboratory):
     async def work(instrument):
-        await instrument.goto(Geometry(30.0, 10.0))
+        await instrument.arm.goto(Geometry(30.0, 10.0))
         axis = axes(laboratory)[0]
         axis.move(33.0)
         await laboratory.clock.sleep(5.0)
         assert axis.position() == 33.0
         # a stage without encoder that has lost steps looks the same, and must not be moved back by its own reading
         with pytest.raises(DeviceFault, match=r"sample stage: reads 33\.000° where it was left at 30\.000°; home it"):
-            await instrument.goto(Geometry(30.0, 20.0))
+            await instrument.arm.goto(Geometry(30.0, 20.0))
         await instrument.recover()
         assert axis.position() == 0.0
-        read = await instrument.goto(Geometry(30.0, 20.0))
+        read = await instrument.arm.goto(Geometry(30.0, 20.0))
         assert read.theta_in == pytest.approx(30.0, abs=0.01)
 
     on_bench(laboratory, work)
@@ -267,16 +267,16 @@ class Wrong:
 def test_a_read_back_that_is_not_where_the_stage_was_sent_is_never_stored(reading):
     instrument = Instrument(Wrong(0.0, reading), Wrong(0.0, 40.0), None, None, SimulatedClock())
     with pytest.raises(DeviceFault, match=r"where it was sent to 30\.000"):
-        asyncio.run(instrument.goto(Geometry(30.0, 10.0)))
+        asyncio.run(instrument.arm.goto(Geometry(30.0, 10.0)))
 
 
 def test_a_stage_that_reads_two_angles_at_rest_is_not_believed():
     instrument = Instrument(Wrong(0.0, 30.0, 30.0, 30.05), Wrong(0.0, 40.0, 40.0, 50.0), None, None, SimulatedClock())
 
     async def work():
-        await instrument.goto(Geometry(30.0, 10.0))
+        await instrument.arm.goto(Geometry(30.0, 10.0))
         with pytest.raises(ProtocolError, match=r"reads 30\.000° and then 30\.050° at rest"):
-            await instrument.goto(Geometry(30.0, 20.0))
+            await instrument.arm.goto(Geometry(30.0, 20.0))
 
     asyncio.run(work())
 
@@ -329,11 +329,11 @@ def test_a_spectrum_that_cannot_be_the_one_that_was_asked_for_is_never_handed_on
 
 
 async def moving(instrument):
-    await instrument.goto(Geometry(80.0, 80.0))
+    await instrument.arm.goto(Geometry(80.0, 80.0))
 
 
 async def homing(instrument):
-    stages = instrument._sample_stage, instrument._detector_stage
+    stages = instrument.arm.stages
     await asyncio.gather(*(stage.move_to(40.0) for stage in stages))
     for stage in stages:
         await stage._begin_homing()
@@ -424,7 +424,7 @@ def test_stages_whose_replies_never_come_are_stopped_within_100_ms_while_their_d
             clock.advance_to(clock.now() + STEP)
 
     async def interrupt(instrument):
-        move = asyncio.create_task(instrument.goto(Geometry(80.0, 80.0)))
+        move = asyncio.create_task(instrument.arm.goto(Geometry(80.0, 80.0)))
         await until(lambda: all(axis.moving() for axis in axes(laboratory)))
         for stage in (laboratory.sample_stage, laboratory.detector_stage):
             stage.script = FaultScript([Fault(Kind.LOSE_REPLY, at=1, times=FOR_EVER)])
@@ -443,7 +443,7 @@ def test_stages_whose_replies_never_come_are_stopped_within_100_ms_while_their_d
         for stage in (laboratory.sample_stage, laboratory.detector_stage):
             stage.script = FaultScript()
         await instrument.recover()
-        await instrument.goto(Geometry(20.0, 20.0))
+        await instrument.arm.goto(Geometry(20.0, 20.0))
 
     on_bench(laboratory, interrupt)
 
@@ -480,7 +480,7 @@ def test_a_motion_that_reaches_a_stage_after_the_stop_is_stopped_as_well(laborat
 
 def test_a_stage_that_cannot_be_stopped_is_told_and_not_waited_for_for_ever(laboratory):
     async def work(instrument):
-        moving_on = asyncio.create_task(instrument.goto(Geometry(80.0, 80.0)))
+        moving_on = asyncio.create_task(instrument.arm.goto(Geometry(80.0, 80.0)))
         axis = axes(laboratory)[0]
         await until(axis.moving)
         axis.stop = lambda: None
@@ -497,13 +497,13 @@ def test_closing_lets_go_of_every_device_also_when_one_of_them_fails(laboratory)
     async def work():
         instrument = make(laboratory)
         await instrument.open()
-        close = instrument._sample_stage.close
+        close = instrument.arm.stages[0].close
 
         async def failing():
             await close()
             raise DeviceDisconnected("sample stage: gone.")
 
-        instrument._sample_stage.close = failing
+        instrument.arm.stages[0].close = failing
         with pytest.raises(DeviceDisconnected):
             await instrument.close()
         again = make(laboratory)

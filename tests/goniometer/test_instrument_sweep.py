@@ -18,7 +18,7 @@ SHORT = 30.0, -10.0, 10.0, 8.0, 0.2
 @each_family
 def test_an_arm_of_any_family_sweeps_and_is_quick_again_afterwards(laboratory):
     async def work(instrument):
-        before = instrument.motion.detector.velocity
+        before = instrument.arm.motion.detector.velocity
         passages, sample = await instrument.sweep(*SHORT)
         assert sample == pytest.approx(30, abs=0.02)
         assert passages[0].start == pytest.approx(20, abs=0.2)
@@ -27,8 +27,8 @@ def test_an_arm_of_any_family_sweeps_and_is_quick_again_afterwards(laboratory):
         assert 12 <= len(passages) <= 16
         middle = passages[len(passages) // 2]
         assert middle.stop - middle.start == pytest.approx(1.6, abs=0.1)
-        assert instrument.motion.detector.velocity == before
-        await instrument.goto(Geometry(30.0, 0.0))
+        assert instrument.arm.motion.detector.velocity == before
+        await instrument.arm.goto(Geometry(30.0, 0.0))
         assert axes(laboratory)[1].velocity == pytest.approx(before, rel=1e-4)
 
     laboratory.bench.mount("embossed")
@@ -40,7 +40,7 @@ def test_an_arm_of_any_family_sweeps_and_is_quick_again_afterwards(laboratory):
 )
 def test_the_arm_is_quick_again_after_a_fault_in_the_middle_of_a_sweep(laboratory, fault):
     async def work(instrument):
-        before = instrument.motion.detector.velocity
+        before = instrument.arm.motion.detector.velocity
         arm = axes(laboratory)[1]
         sweep = asyncio.create_task(instrument.sweep(*SHORT))
         await until(lambda: arm.moving() and arm.velocity < 9 and 25 < arm.position() < 35)
@@ -51,8 +51,8 @@ def test_the_arm_is_quick_again_after_a_fault_in_the_middle_of_a_sweep(laborator
             laboratory.detector_stage.start()
         laboratory.clock.strolls = False
         await instrument.recover()
-        assert instrument.motion.detector.velocity == before
-        await instrument.goto(Geometry(30.0, 0.0))
+        assert instrument.arm.motion.detector.velocity == before
+        await instrument.arm.goto(Geometry(30.0, 0.0))
         assert arm.velocity == pytest.approx(before, rel=1e-4)
         assert len((await instrument.sweep(*SHORT))[0]) >= 12
 
@@ -88,7 +88,7 @@ def test_a_point_where_a_sweep_ends_is_not_exposed_while_the_arm_swings(laborato
     async def work(instrument):
         passages, _ = await instrument.sweep(*SHORT)
         rests = passages[-1].spectrum.began + passages[-1].spectrum.integration_time
-        await instrument.goto(Geometry(30.0, 10.0))
+        await instrument.arm.goto(Geometry(30.0, 10.0))
         assert (await instrument.expose(0.1)).began >= rests + 5.0
 
     on_bench(laboratory, work, settling=(0.0, 5.0))

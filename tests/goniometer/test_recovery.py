@@ -206,8 +206,8 @@ def test_after_every_fault_the_bench_is_made_safe_before_anything_else(store):
             return await expose(integration_time)
 
         instrument.expose = flaky
-        for name in ("safe", "recover", "goto"):
-            setattr(instrument, name, noted(name, getattr(instrument, name)))
+        for owner, name in ((instrument, "safe"), (instrument, "recover"), (instrument.arm, "goto")):
+            setattr(owner, name, noted(name, getattr(owner, name)))
 
     run(store, prepare=prepare)
     at = calls.index("fault")

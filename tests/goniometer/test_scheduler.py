@@ -285,14 +285,14 @@ def jammed_at(theta_out, message="detector stage: it did not arrive within 20 s.
     """A change of the instrument: it cannot go to this reflected angle."""
 
     def change(instrument):
-        goto = instrument.goto
+        goto = instrument.arm.goto
 
         async def jammed(geometry):
             if geometry.theta_out == theta_out:
                 raise DeviceTimeout(message)
             return await goto(geometry)
 
-        instrument.goto = jammed
+        instrument.arm.goto = jammed
 
     return change
 
@@ -314,13 +314,13 @@ def test_a_fault_of_making_safe_does_not_cost_the_other_attempts_nor_hide_why_th
         async def unsafe():
             raise DeviceTimeout("QE Pro: the shutter did not answer.")
 
-        goto, safe = instrument.goto, instrument.safe
+        goto, safe = instrument.arm.goto, instrument.safe
 
         async def jammed(geometry):
             instrument.safe = unsafe if geometry.theta_out == 30.0 else safe
             return await goto(geometry)
 
-        instrument.goto = jammed
+        instrument.arm.goto = jammed
 
     asyncio.run(run(store, change=change))
     (failed,) = [p for p in store.points(store.scans()[1].id) if p.status == "failed"]
@@ -355,8 +355,8 @@ def test_a_silent_device_does_not_eat_up_the_whole_plan(store):
 
 def test_a_plan_that_the_stages_cannot_take_is_refused_before_anything_moves_or_is_written(store):
     def change(instrument):
-        instrument._detector_stage.limits = (-90.0, 70.0)
-        instrument.goto = None
+        instrument.arm.stages[1].limits = (-90.0, 70.0)
+        instrument.arm.goto = None
 
     with pytest.raises(GeometryError, match=r"theta_out = 40 to 85 deg .* outside -90 to 70 deg.* is 0?-25 to 40 deg"):
         asyncio.run(run(store, change=change))

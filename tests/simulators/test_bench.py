@@ -16,7 +16,8 @@ from simulators.bench import (
     positioning_error,
 )
 from simulators.clock import SimulatedClock
-from simulators.materials import SAMPLES, UnknownMaterial, true_brdf
+from simulators.errors import UnknownMaterial
+from simulators.materials import SAMPLES, true_brdf
 from simulators.motion import Axis
 from tests.optical_bench import Bench, Standing
 

@@ -6,7 +6,8 @@ from scipy.special import jv
 
 from goniometer.errors import InputError
 from simulators.diffraction import Coherence, diffraction_integral, direct_integral, seen_through, window
-from simulators.heights import HeightField, UnfitTopography
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField
 from simulators.sampling import refined
 
 

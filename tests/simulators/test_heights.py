@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from simulators.heights import HeightField, UnfitTopography, autocorrelation, filled, levelled, roughness, slopes
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField, autocorrelation, filled, levelled, roughness, slopes
 
 PITCH = 0.5
 Y, X = np.indices((192, 256)) * PITCH

@@ -13,7 +13,7 @@ import tifffile
 from goniometer.errors import DataFileError
 from goniometer.photo_files import read_frame
 from goniometer.photo_series import Series
-from simulators.tabulated import UnfitTable
+from simulators.errors import UnfitTable
 from simulators.tabulated_file import read_tabulated
 from simulators.topography_file import read_topography
 from tests.little_memory import little_memory

@@ -10,6 +10,7 @@ from analysis.errors import OutOfRange
 from analysis.fresnel import load_conductor
 from analysis.models import cook_torrance
 from goniometer.certificate import NOMINAL_SRS99
+from simulators.errors import UnknownMaterial
 from simulators.materials import (
     DETECTOR_APERTURE,
     EMBOSSED,
@@ -19,7 +20,6 @@ from simulators.materials import (
     SAMPLES,
     SPECTRALON,
     Material,
-    UnknownMaterial,
     material,
     true_brdf,
 )

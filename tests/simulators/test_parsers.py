@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from drivers import apt
 from drivers.obp import ACK_REQUESTED, Message, decode, encode
 from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript, FaultScriptError, Kind
+from simulators.errors import FaultScriptError
+from simulators.faults import FaultScript, Kind
 from simulators.k10cr1 import SimulatedK10CR1
 from simulators.motion import Axis
 from simulators.oriental_az import SimulatedOrientalAZ

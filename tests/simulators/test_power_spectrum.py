@@ -6,7 +6,8 @@ from scipy.special import gammaln, jv
 
 from goniometer.errors import InputError
 from simulators.diffraction import direct_integral, window
-from simulators.heights import HeightField, UnfitTopography
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField
 from simulators.power_spectrum import power_spectrum
 
 FloatArray = np.ndarray

@@ -10,10 +10,11 @@ from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.local_fit import local_fit
 from drivers.arrays import FloatArray
 from simulators.computed import Computed, computed_dataset
-from simulators.heights import HeightField, UnfitTopography
+from simulators.errors import UnfitRays, UnfitTopography
+from simulators.heights import HeightField
 from simulators.ray_decomposition import coarser, convergence, halves, jackknife, shares
 from simulators.ray_scan import WINDOWS, Goniometer, RayScan, ray_scan, window
-from simulators.rays import UnfitRays, terrain, virtual_scan
+from simulators.rays import terrain, virtual_scan
 from simulators.synthesis import gaussian, gaussian_correlation
 
 NM = np.arange(400.0, 951.0, 50.0)

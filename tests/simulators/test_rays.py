@@ -7,8 +7,9 @@ import pytest
 
 from analysis.fresnel import fresnel_conductor, load_conductor
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField, UnfitTopography
-from simulators.rays import UnfitRays, VirtualScan, beam, tabulated, terrain, trace, virtual_scan, weights
+from simulators.errors import UnfitRays, UnfitTopography
+from simulators.heights import HeightField
+from simulators.rays import VirtualScan, beam, tabulated, terrain, trace, virtual_scan, weights
 from simulators.surfaces import Reflectance
 from simulators.synthesis import gaussian, gaussian_correlation
 

@@ -9,7 +9,8 @@ from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from simulators.camera import window_of
 from simulators.choices import Kernel
-from simulators.heights import HeightField, UnfitTopography
+from simulators.errors import UnfitTopography
+from simulators.heights import HeightField
 from simulators.speckle import Lens, Lighting, image_points, phase_screen, pupil, squared_field
 from simulators.synthesis import gaussian, gaussian_correlation
 from simulators.waves import averaged, averaged_brdf, obliquity

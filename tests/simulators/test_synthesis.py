@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage, stats
 
-from simulators.heights import UnfitTopography, autocorrelation, roughness
+from simulators.errors import UnfitTopography
+from simulators.heights import autocorrelation, roughness
 from simulators.materials import SAMPLES
 from simulators.synthesis import (
     brushed,

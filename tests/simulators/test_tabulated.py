@@ -11,8 +11,9 @@ from analysis.directions import round_aperture
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset, Flag
 from simulators.computed import Computed, computed_dataset
-from simulators.materials import SAMPLES, UnknownMaterial, material, true_brdf
-from simulators.tabulated import Tabulated, UnfitTable, check_reach, tabulated_brdf
+from simulators.errors import UnfitTable, UnknownMaterial
+from simulators.materials import SAMPLES, material, true_brdf
+from simulators.tabulated import Tabulated, check_reach, tabulated_brdf
 from simulators.tabulated_file import read_tabulated, write_tabulated
 from tests.drawn_dataset import drawn_dataset
 
