@@ -39,7 +39,7 @@ def fill_apart(database: Path | str, dataset_id: int, stop: threading.Event) -> 
             return heard.recv_bytes() or None
         except EOFError:
             raise Conflict(
-                f"What lacks in dataset {dataset_id} was not filled, because the process that does it has ended; ask "
+                f"Dataset {dataset_id} was not filled, because the process that does it has ended; ask "
                 "again, or look into the log of the service"
             ) from None
         finally:
