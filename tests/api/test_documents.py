@@ -34,8 +34,8 @@ ONLY_READ = re.compile(
     | (demo|serve|run|characterise|abort|pause|resume)\b    # lasts, or wants a bench that runs
     | .*(theirs|raw)\.(json|csv|txt)\b            # files of somebody else
     | photos\b                                    # photographs that nobody took
-    | (choose|render|stability|tradeoff|simulate\ (surface|rays|waves|grating|photos))\b    # take long
-    | export\ .*mitsuba                           # takes long
+    | (choose|render|report|stability|tradeoff|simulate\ (surface|rays|waves|grating|photos))\b    # take long
+    | export\ .*\b(mitsuba|package)\b            # take long
     | .*--(cluster|database)\b                    # a cluster, or what a demo left behind
     """,
     re.VERBOSE,
