@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.notation import uncertainty, with_uncertainty
 from analysis.svg import INK, new_axes, style, to_svg
 from analysis.wording import words
 from drivers.arrays import FloatArray
@@ -228,9 +229,9 @@ def budget_table(found: Budget) -> str:
     return (
         f'<div class="wide"><table><thead><tr><th>source of error</th>{head}<th>the same for</th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody><caption>{_direction(found.theta_in, found.theta_out)}, "
-        f"{found.wavelength:.1f} nm: f = {found.brdf:.5g} 1/sr ± {found.expanded:.2g} 1/sr (expanded uncertainty, "
-        f"k = {COVERAGE_FACTOR}: {COVERAGE}). The sign of a source says which way its error moves this "
-        f"value.</caption></table></div>"
+        f"{found.wavelength:.1f} nm: f = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded uncertainty "
+        f"± {uncertainty(found.expanded)} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE}). The sign of a source says which "
+        f"way its error moves this value.</caption></table></div>"
     )
 
 

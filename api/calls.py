@@ -12,8 +12,9 @@ Angles are degrees, wavelengths nanometres, BRDF 1/sr; answers are the models th
 from typing import Any, Literal
 from urllib.parse import quote
 
+from api.bench.state import BenchState
 from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
-from api.job_arguments import (
+from api.jobs.arguments import (
     ChooseArguments,
     DoctorArguments,
     ExportAsked,
@@ -23,15 +24,13 @@ from api.job_arguments import (
     StabilityArguments,
     TradeoffArguments,
 )
-from api.job_rows import State
-from api.queue_view import EntryView
-from api.state import BenchState
+from api.jobs.rows import State
+from api.jobs.view import JobView
 from api.views.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
 from api.views.calibration import Reference
 from api.views.curves import Distributions
 from api.views.history import History
 from api.views.in_plane_map import InPlaneMap
-from api.views.jobs import JobView
 from api.views.ladder import FitRow, Ladder
 from api.views.lineage import Lineage
 from api.views.listing import DatasetDetail, DatasetRow
@@ -46,6 +45,7 @@ from api.web.instrument import Expose, Jog
 from api.web.login import Me
 from api.web.operation import About
 from api.web.paging import Page
+from api.web.queue_view import EntryView
 from api.web.samples import SampleRow, SampleView
 from api.web.scans import PointDetail, PointView, ScanView
 from drivers.arrays import FloatArray

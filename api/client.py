@@ -23,8 +23,8 @@ import goniometer.errors
 from api import calls
 from api.call import Call
 from api.errors import ServiceError
-from api.job_rows import OPEN
-from api.views.jobs import JobView
+from api.jobs.rows import OPEN
+from api.jobs.view import JobView
 from api.web.paging import Page
 from api.web.problems import MEDIA_TYPE, Problem
 

@@ -125,7 +125,8 @@ def software() -> dict[str, str]:
     """What results depend on: the code of this program and the versions below it, by name."""
     digest = hashlib.sha256()
     for floor in (drivers, goniometer, analysis, simulators, api):
-        for file in sorted(Path(floor.__path__[0]).glob("*.py")):
+        folder = Path(floor.__path__[0])
+        for file in sorted([*folder.glob("*.py"), *folder.glob("*/*.py")]):
             digest.update(file.read_bytes())
     own = {"goniometer": f"{software_version()} ({digest.hexdigest()[:8]})", "Python": python_version()}
     return own | {name: version(name) for name in _LIBRARIES}

@@ -42,9 +42,11 @@ def duration(seconds: float | None) -> str:
 def called(name: str, kind: Kind) -> str:
     """How an operator tells a scan from the others.
 
-    >>> called("Sample 1 #2", "sample"), called("Sample 1 #2", "spot")
-    ('Sample 1 #2', 'Sample 1 #2, another spot')
+    >>> called("Sample 1 #2", "sample"), called("Sample 1 #2", "spot"), called("reference", "reference")
+    ('Sample 1 #2', 'Sample 1 #2, another spot', 'reference panel')
     """
+    if kind == "reference":
+        return name.replace("reference", "reference panel")
     return f"{name}, another spot" if kind == "spot" else name
 
 

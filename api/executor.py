@@ -7,11 +7,11 @@ summed in the order in which they were submitted, and run on one thread each.
 
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-
-from api.derive import end_with_parent
 
 BEHIND = 10
 """How far processes of heavy work step back: the bench and who is at the pages go before."""
@@ -41,6 +41,23 @@ def processes(cluster: str | None, count: int | None = None) -> Iterator[Executo
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """End this worker when the process that started it is gone, however it went; call it once in a worker.
+
+    Ctrl-C reaches the worker as well, and ends it without a word: its parent says what there is to say.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _begin() -> None:

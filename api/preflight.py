@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from api.derive import slug
+from api.results.derive import slug
 from api.settings import InstrumentSettings
 from goniometer.calibration import check_certificate
 from goniometer.campaign import Campaign, Sample

@@ -68,11 +68,13 @@ class Preview:
         """The preview as sentences."""
         told = [f"Campaign {self.campaign}"]
         for leg in self.legs:
-            points = f"{leg.points}" if leg.points == leg.most_points else f"{leg.points} to about {leg.most_points}"
+            refined = leg.points != leg.most_points
+            points = f"{leg.points} to about {leg.most_points}" if refined else f"{leg.points}"
+            first = f" for the first {leg.points}" if refined else ""
             waiting = f", {duration(leg.waiting)} of it waiting" if leg.waiting else ""
             told.append(
                 f"  {leg.name}: {points} points, sample stage {leg.sample_travel:.0f}°, detector stage "
-                f"{leg.detector_travel:.0f}° of travel for the first {leg.points}, about {span(leg.time)}{waiting}"
+                f"{leg.detector_travel:.0f}° of travel{first}, about {span(leg.time)}{waiting}"
             )
         whole = sum((leg.time for leg in self.legs), start=Expected(0.0, 0.0, 0.0))
         told.append(f"In all about {span(whole)}. {self.doubt}")

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from usb.backend import IBackend
 
-from api.fitting import Fits, fitting
 from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
+from api.results.fitting import Fits, fitting
 from api.settings import InstrumentSettings, make_stage, not_plugged_in
 from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock

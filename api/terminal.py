@@ -21,9 +21,20 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
+LONGEST_LINE = 10_000
+"""Characters of a line that goes to no terminal."""
+
 
 class Terminal(Console):
-    """What is printed on a terminal, which nothing that comes from a file or another person can command."""
+    """What is printed on a terminal, which nothing that comes from a file or another person can command.
+
+    In a log or a pipe a sentence stays one line, so that it can be searched for.
+    """
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(**how)
+        if not self.is_terminal:
+            self.width = LONGEST_LINE
 
     def render_str(self, text: str, **how: Any) -> Text:
         """A text as it is shown, also that of a cell of a table."""

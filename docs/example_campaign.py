@@ -12,7 +12,7 @@ import numpy as np
 
 from api import calls
 from api.client import Client
-from api.job_arguments import ExportAsked, HowAsked
+from api.jobs.arguments import ExportAsked, HowAsked
 
 bench = Client(os.environ["GONIOMETER_URL"], os.environ["GONIOMETER_TOKEN"])
 print(bench(calls.about()))

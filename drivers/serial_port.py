@@ -10,6 +10,7 @@ whose answer cannot be mistaken is sent first, and whatever arrives before that 
 import asyncio
 import contextlib
 import logging
+import os
 import socket
 import threading
 import time
@@ -227,7 +228,8 @@ class SerialPort:
             if self._url.startswith("socket://"):
                 _send_at_once(line.port)
         except OPEN_ERRORS as error:
-            message = f"{self._name}: cannot open {self._url} ({error}); check its power, its cable and the address"
+            reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error
+            message = f"{self._name}: cannot open {self._url} ({reason}); check its power, its cable and the address"
             raise DeviceNotFound(message) from error
         line.is_lost = False
 

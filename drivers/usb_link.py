@@ -270,7 +270,7 @@ def open_link(
         return wanted[0]
     if not wanted and failures:
         raise failures[0]
-    which = f"with serial number {serial_number}" if serial_number else "that could be the only one"
+    which = f" with serial number {serial_number}" if serial_number else ", which would have to be the only one,"
     known = ", ".join(sorted(found for _, found in links))
-    message = f"{name}: USB has no {vendor:04x}:{product:04x} {which} (found: {known or 'none'})"
+    message = f"{name}: no USB device {vendor:04x}:{product:04x}{which} is plugged in (found: {known or 'none'})"
     raise DeviceNotFound(message + "; check its power, its cable and the configured serial number")

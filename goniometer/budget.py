@@ -106,14 +106,14 @@ def nearest_point(dataset: Dataset, theta_in: float, theta_out: float) -> int:
     point = int(np.argmin(away)) if away.size else -1
     if point < 0 or not away[point] <= FARTHEST:
         there = (
-            f"the nearest is theta_in = {dataset.theta_in[point]:.2f} deg, theta_out = {dataset.theta_out[point]:.2f} "
-            f"deg, so ask for that one"
+            f"the nearest is theta_in = {dataset.theta_in[point]:.2f}°, theta_out = {dataset.theta_out[point]:.2f}°, "
+            f"so ask for that one"
             if point >= 0 and np.isfinite(away[point])
             else "it has no value at all"
         )
         raise GeometryError(
-            f'Dataset of "{dataset.sample}" has no value within {FARTHEST:g} deg of theta_in = {theta_in:g} deg, '
-            f"theta_out = {theta_out:g} deg; {there}"
+            f'The dataset of "{dataset.sample}" has no value within {FARTHEST:g}° of theta_in = {theta_in:g}°, '
+            f"theta_out = {theta_out:g}°; {there}"
         )
     return point
 

@@ -41,11 +41,19 @@ def nearest(given: str, known: Iterable[str]) -> str:
     return f'did you mean "{near[0]}"?' if near else "known here: " + ", ".join(known)
 
 
+def and_more(faults: int) -> str:
+    """The end of a sentence that tells the first of several faults.
+
+    >>> and_more(0), and_more(1), and_more(2)
+    ('', ' (and 1 more fault)', ' (and 2 more faults)')
+    """
+    return "" if faults == 0 else f" (and {faults} more fault{'s' if faults > 1 else ''})"
+
+
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a pydantic validation of `model` as one sentence: key path, what is wrong, what is right."""
     faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")  # a typo explains the rest
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return _sentence(faults[0], model) + more
+    return _sentence(faults[0], model) + and_more(len(faults) - 1)
 
 
 def _sentence(fault: ErrorDetails, model: type[BaseModel]) -> str:

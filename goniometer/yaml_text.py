@@ -31,6 +31,8 @@ def parsed_yaml(text: str) -> object:
         mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
         where = "" if mark is None else f" in line {mark.line + 1}"
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        if "<block" in problem:  # the parser's word for what ends or begins too early
+            problem = f"{problem}; keys that belong together must begin in the same column"
         raise ValueError(f"is not valid YAML{where}: {problem}") from None
     except RecursionError:
         raise ValueError("is nested too deeply; a few levels say everything") from None

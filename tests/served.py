@@ -12,9 +12,9 @@ from typing import Any
 import httpx
 import uvicorn
 
-from api.live import Live, open_live
-from api.tokens import create_token, ensure_first_user
+from api.access.tokens import create_token, ensure_first_user
 from api.web.app import make_app
+from api.web.live import Live, open_live
 from api.web.patience import Patient
 
 PATIENCE = 120.0

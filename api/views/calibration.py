@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from api.certificates import sha256_of
+from api.results.certificates import sha256_of
 from api.views.body import Body
 from goniometer import look_up
 from goniometer.drift import REFERENCE_WAVELENGTH, lamp_series

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from api.quality import budget_content, dataset_budget, quality_of
+from api.results.quality import budget_content, dataset_budget, quality_of
 from api.views.body import Body, Number, number
 from api.views.opened import Opened
 from goniometer.store import Store
@@ -84,7 +84,7 @@ def uncertainty_budget(
 ) -> UncertaintyBudget:
     """The budget of the measured value nearest to a direction (degrees) and wavelength (nm).
 
-    Raises what `api.quality.dataset_budget` raises.
+    Raises what `api.results.quality.dataset_budget` raises.
     """
     content = budget_content(opened.entry.id, dataset_budget(opened.dataset, theta_in, theta_out, wavelength))
     for part in content["parts"]:

@@ -1,1 +1,1 @@
-"""REST, events and the pages of the service: thin faces over `api.live`."""
+"""REST, events and the pages of the service: thin faces over `api.web.live`."""

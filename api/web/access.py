@@ -8,11 +8,11 @@ from typing import Any, cast
 
 from fastapi import Depends, Request
 
-from api.accounts import all_users, at_least
-from api.callers import Shown
+from api.access.accounts import all_users, at_least
+from api.access.callers import Shown
+from api.access.tokens import Caller
 from api.choices import Role
 from api.errors import NotAllowed, Unauthorised
-from api.tokens import Caller
 from goniometer.database import Database
 from goniometer.errors import ConfigurationError
 

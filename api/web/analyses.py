@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Response
 
-from api.job_arguments import ChooseArguments, StabilityArguments, TradeoffArguments
-from api.job_rows import Job, job
-from api.live import Live
+from api.jobs.arguments import ChooseArguments, StabilityArguments, TradeoffArguments
+from api.jobs.rows import Job, job
+from api.jobs.view import JobView
 from api.views import analyses
-from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import result_text, submit
+from api.web.live import Live
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api", tags=["analyses"])

@@ -11,7 +11,7 @@ from fastapi import Depends, Request, Response
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from api.live import Live
+from api.web.live import Live
 from api.web.paging import etag, unchanged
 
 _MOST = 100

@@ -11,7 +11,6 @@ from typing import Any
 from anyio import CapacityLimiter
 from fastapi import FastAPI
 
-from api.live import Live
 from api.web import (
     analyses,
     calibration,
@@ -36,6 +35,7 @@ from api.web import (
 from api.web.access import LOCAL, Access
 from api.web.answers import Answers
 from api.web.gate import Gate
+from api.web.live import Live
 from api.web.problems import describe_problems, install
 from goniometer.derived import software_version
 

@@ -7,7 +7,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Path, Query
 from pydantic import BaseModel, Field
 
-from api.certificates import (
+from api.jobs.arguments import RecalibrateArguments, RecalibrationAsked
+from api.jobs.view import JobView
+from api.results.certificates import (
     Known,
     add_certificate,
     curve_of,
@@ -16,14 +18,12 @@ from api.certificates import (
     known_certificates,
     wavelengths_of,
 )
-from api.job_arguments import RecalibrateArguments, RecalibrationAsked
-from api.live import Live
 from api.views.calibration import Reference, reference_view
 from api.views.history import History, history
-from api.views.jobs import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import submit
+from api.web.live import Live
 from api.web.paging import After, Page, after_number, etag, page
 from goniometer import look_up
 from goniometer.records import Scan

@@ -7,12 +7,12 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, Field
 
-from api.live import Live
+from api.bench.state import Span
 from api.preflight import preflight
 from api.preview import preview as preview_of
-from api.state import Span
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
+from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
 from api.web.scans import ScanView, scan_views
 from goniometer import look_up

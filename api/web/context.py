@@ -4,7 +4,7 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Path, Request
 
-from api.live import Live
+from api.web.live import Live
 
 
 async def _live(

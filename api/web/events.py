@@ -10,9 +10,9 @@ from fastapi.responses import StreamingResponse
 
 from api.errors import Unauthorised
 from api.events import Event, Events
-from api.live import Live
 from api.web.access import Caller, needs, shown_by
 from api.web.context import Here
+from api.web.live import Live
 
 LOOK_AGAIN = 15.0
 """Seconds after which a stream asks anew whether it may still be read."""

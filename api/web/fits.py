@@ -10,9 +10,9 @@ from pydantic import BaseModel, Field
 
 from api.choices import WRITTEN
 from api.errors import Conflict
-from api.exports import FORMATS
-from api.job_arguments import ExportArguments, ExportAsked, FitArguments, HowAsked, ReportArguments
-from api.views.jobs import JobView
+from api.exports.formats import FORMATS
+from api.jobs.arguments import ExportArguments, ExportAsked, FitArguments, HowAsked, ReportArguments
+from api.jobs.view import JobView
 from api.views.ladder import FitRow, fit_row
 from api.web.access import Caller, needs
 from api.web.context import Here, Number

@@ -8,9 +8,9 @@ from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from api.errors import TooLarge
-from api.job_arguments import ImportAsked
-from api.uploads import LARGEST, new_upload, uploaded
-from api.views.jobs import JobView
+from api.jobs.arguments import ImportAsked
+from api.jobs.uploads import LARGEST, new_upload, uploaded
+from api.jobs.view import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.jobs import submit

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from api.bench import conflict
+from api.bench.operated import conflict
+from api.bench.state import BenchState, Snapshot
 from api.errors import Conflict
-from api.job_arguments import DoctorArguments
-from api.state import BenchState, Snapshot
-from api.views.jobs import JobView
+from api.jobs.arguments import DoctorArguments
+from api.jobs.view import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.jobs import submit

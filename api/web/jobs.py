@@ -5,15 +5,15 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import HTMLResponse
 
-from api.accounts import at_least
+from api.access.accounts import at_least
 from api.errors import Conflict, NotAllowed
-from api.job_arguments import Arguments
-from api.job_kinds import KINDS
-from api.job_rows import State, all_jobs, job, page_of, result_of
-from api.live import Live
-from api.views.jobs import JobView, job_view
+from api.jobs.arguments import Arguments
+from api.jobs.kinds import KINDS
+from api.jobs.rows import State, all_jobs, job, page_of, result_of
+from api.jobs.view import JobView, job_view
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
+from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
 from goniometer.errors import NotInStore
 

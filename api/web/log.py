@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
-from api import audit
+from api.access import audit
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page

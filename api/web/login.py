@@ -7,11 +7,9 @@ from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 from starlette.concurrency import run_in_threadpool
 
-from api.accounts import LONGEST_PASSWORD, all_users, check_password, set_password
-from api.choices import Role
-from api.errors import NotAllowed, TooManyFailures, Unauthorised
-from api.throttle import count_try, forgive
-from api.tokens import (
+from api.access.accounts import LONGEST_PASSWORD, all_users, check_password, set_password
+from api.access.throttle import count_try, forgive
+from api.access.tokens import (
     OLD,
     Caller,
     begin_session,
@@ -22,6 +20,8 @@ from api.tokens import (
     sessions_of,
     token_caller,
 )
+from api.choices import Role
+from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.web.access import Access, cookie_name, needs
 from api.web.context import Here
 from goniometer.database import Database

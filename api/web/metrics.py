@@ -9,11 +9,11 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api import queue
+from api.bench import queue
+from api.bench.state import BenchState
 from api.errors import Unauthorised
-from api.live import Live
-from api.state import BenchState
 from api.web.access import Access
+from api.web.live import Live
 
 router = APIRouter(tags=["operation"])
 

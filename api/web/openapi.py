@@ -5,8 +5,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from api.live import open_live
 from api.web.app import make_app
+from api.web.live import open_live
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from analysis.errors import AnalysisError, SceneError, UnknownConductor
 from api.errors import Conflict, Misdirected, NotAllowed, Outdated, TooLarge, TooManyFailures, Unauthorised
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, InputError, NotInStore, OptionError, StoreBusy, StoreFull
-from goniometer.wording import key_path
+from goniometer.wording import and_more, key_path
 
 log = logging.getLogger(__name__)
 
@@ -147,8 +147,7 @@ async def _invalid(_: Request, error: Exception) -> JSONResponse:
         # the first part says whether it was the body, the path, ...: of no use to who reads a key
         faults.append(Fault(where=key_path(fault["loc"][1:]), message=message))
     first = f"{faults[0].where}: {faults[0].message}" if faults[0].where else faults[0].message
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, first + more, "input-error", faults)
+    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, first + and_more(len(faults) - 1), "input-error", faults)
 
 
 async def _refused(_: Request, error: Exception) -> JSONResponse:

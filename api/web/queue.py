@@ -5,15 +5,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from api import queue
+from api.bench import queue
 from api.errors import Conflict
-from api.live import Live
-from api.queue_view import EntryView, entry_view
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
+from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
+from api.web.queue_view import EntryView, entry_view
 from goniometer.errors import NotInStore
 from goniometer.records import ACTIVE_PHASES, Command
 

@@ -5,11 +5,11 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from api.live import Live
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
+from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, etag, page, unchanged
 from goniometer import look_up
 from goniometer.look_up import NONE, Counts

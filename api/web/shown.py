@@ -5,8 +5,8 @@ from collections.abc import Callable
 from fastapi import Request, Response
 from pydantic import BaseModel
 
-from api.live import Live
 from api.views.opened import Opened
+from api.web.live import Live
 from api.web.paging import etag, unchanged
 
 # a browser keeps the answer and asks each time whether it still holds

@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from api import tokens
-from api.accounts import at_least
+from api.access import tokens
+from api.access.accounts import at_least
 from api.choices import Role
 from api.errors import NotAllowed
 from api.web.access import Caller, needs

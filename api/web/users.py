@@ -5,8 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
-from api import accounts
-from api.accounts import LONGEST_PASSWORD
+from api.access import accounts
+from api.access.accounts import LONGEST_PASSWORD
 from api.choices import Role
 from api.web.access import Caller, needs
 from api.web.context import Here

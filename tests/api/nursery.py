@@ -18,24 +18,24 @@ from contextlib import suppress
 from types import ModuleType
 from typing import Any, NoReturn
 
-from api.cli import main
+from api.commands.main import main
 
 HEAVY = (
     "analysis.photo_page",
-    "api.characterise",
-    "api.choose",
-    "api.demo",
-    "api.exports",
-    "api.gratings",
-    "api.imports",
+    "api.bench.characterise",
+    "api.results.choose",
+    "api.commands.demo",
+    "api.exports.formats",
+    "api.simulated.gratings",
+    "api.results.imports",
     "api.preview",
-    "api.quality",
-    "api.ray_page",
-    "api.render",
-    "api.stability",
-    "api.surface_page",
-    "api.tradeoff",
-    "api.wave_page",
+    "api.results.quality",
+    "api.simulated.ray_page",
+    "api.results.render",
+    "api.results.stability",
+    "api.simulated.surface_page",
+    "api.results.tradeoff",
+    "api.simulated.wave_page",
     "colour",
     "lmfit",
     "matplotlib.pyplot",

@@ -6,9 +6,9 @@ from typing import Any
 import httpx
 from fastapi import FastAPI
 
-from api.live import Live
 from api.web.access import LOCAL, Access
 from api.web.app import make_app
+from api.web.live import Live
 
 
 class Client:

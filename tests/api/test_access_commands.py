@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from argon2 import PasswordHasher
 
-from api.audit import entries
-from api.tokens import token_caller
+from api.access.audit import entries
+from api.access.tokens import token_caller
 from goniometer.store import Store
 
 PASSWORD = "correct horse battery staple"

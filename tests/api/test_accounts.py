@@ -9,7 +9,7 @@ import pytest
 from argon2 import PasswordHasher, Type
 from argon2.low_level import hash_secret, verify_secret
 
-from api.accounts import (
+from api.access.accounts import (
     add_user,
     all_users,
     at_least,
@@ -19,7 +19,7 @@ from api.accounts import (
     set_password,
     set_role,
 )
-from api.tokens import (
+from api.access.tokens import (
     all_tokens,
     begin_session,
     create_token,

@@ -14,9 +14,9 @@ from matplotlib.image import imread
 from analysis.fit_json import strict_json
 from analysis.tradeoff import charts_json
 from api.choices import Kind
-from api.choose import choice_content, choice_pictures, choose_model
-from api.stability import stability_content
-from api.tradeoff import charts
+from api.results.choose import choice_content, choice_pictures, choose_model
+from api.results.stability import stability_content
+from api.results.tradeoff import charts
 from api.views.analyses import choice, ensemble, stability_map, tradeoff
 from goniometer.campaign import Campaign
 from goniometer.errors import NotInStore

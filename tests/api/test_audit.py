@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 
-from api.audit import FIRST, entries, head, record, verify
+from api.access.audit import FIRST, entries, head, record, verify
 from goniometer.errors import StoreError
 from goniometer.store import Store
 from tests.databases import fresh_database, outside

@@ -17,7 +17,7 @@ from bluesky.utils import FailedStatus, RunEngineInterrupted
 from event_model import DocumentNames, schema_validators
 
 from api.bluesky_devices import BlueskyBench, Done, bluesky_bench
-from api.bluesky_documents import bluesky_documents, bluesky_lines
+from api.exports.bluesky import bluesky_documents, bluesky_lines
 from drivers.errors import DriverError
 from goniometer.errors import GeometryError, InputError
 from goniometer.store import Store

@@ -15,7 +15,7 @@ from api import calls
 from api.call import Call
 from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
 from api.errors import Conflict, Unauthorised
-from api.job_arguments import ExportAsked, HowAsked, ImportAsked
+from api.jobs.arguments import ExportAsked, HowAsked, ImportAsked
 from goniometer.errors import InputError, NotInStore
 from tests.served import Served, served
 

@@ -20,7 +20,7 @@ from api import cluster as api_cluster
 from api.cluster import connected, difference, software
 from api.errors import ClusterError, VersionsDiffer
 from api.executor import processes
-from api.products import fit_datasets
+from api.results.products import fit_datasets
 from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.choices import Kernel

@@ -11,9 +11,9 @@ import pytest
 
 from analysis.analyse import analyse
 from analysis.fit_json import fit_to_json
-from api.accounts import add_user
-from api.live import Live, open_live
-from api.tokens import create_token
+from api.access.accounts import add_user
+from api.access.tokens import create_token
+from api.web.live import Live, open_live
 from goniometer.certificate import Certificate
 from goniometer.certificate_file import certificate_csv
 from simulators.materials import PANEL_CERTIFICATE

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.cli import _Warnings
+from api.commands.main import _Warnings
 from api.service import diagnose, make_bench, open_bench, simulated_settings
 from api.settings import InstrumentSettings
 from drivers.errors import DeviceNotFound

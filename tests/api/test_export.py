@@ -19,9 +19,9 @@ from typer.testing import CliRunner, Result
 
 from analysis.fit_json import analysis_from_json
 from api.choices import WRITTEN
-from api.cli import app
-from api.exports import FORMATS, Options, export_dataset
-from api.package_texts import Published
+from api.commands.main import app
+from api.exports.formats import FORMATS, Options, export_dataset
+from api.exports.texts import Published
 from goniometer.errors import InputError
 from goniometer.store import Store
 from tests.bird_schemas import validator

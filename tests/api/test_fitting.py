@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from api import fitting, queue
-from api.bench import OperatedBench
-from api.fitting import Fits
-from api.live import open_live
-from api.queue_view import entry_view
-from api.runner import Runner, Task
-from api.state import Told
+from api.bench import queue
+from api.bench.operated import OperatedBench
+from api.bench.runner import Runner, Task
+from api.bench.state import Told
+from api.results import fitting
+from api.results.fitting import Fits
+from api.web.live import open_live
+from api.web.queue_view import entry_view
 from goniometer.campaign import Campaign
 from goniometer.store import Store
 from tests.served import TINY

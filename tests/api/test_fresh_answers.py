@@ -10,11 +10,12 @@ import pytest
 from pydantic import BaseModel
 from starlette.requests import Request
 
-from api import callers, queue
-from api.accounts import add_user, set_disabled
-from api.live import Live, open_live
-from api.tokens import create_token, revoke_token
+from api.access import callers
+from api.access.accounts import add_user, set_disabled
+from api.access.tokens import create_token, revoke_token
+from api.bench import queue
 from api.web.answers import Answers
+from api.web.live import Live, open_live
 from goniometer.campaign import Campaign
 from goniometer.certificate_file import certificate_csv
 from goniometer.store import Store

@@ -12,13 +12,13 @@ import httpx
 import pytest
 from argon2 import PasswordHasher
 
-from api import accounts
-from api.accounts import add_user
-from api.audit import entries, verify
-from api.live import Live, open_live
-from api.tokens import create_token, first_token, revoke_token
+from api.access import accounts
+from api.access.accounts import add_user
+from api.access.audit import entries, verify
+from api.access.tokens import create_token, first_token, revoke_token
 from api.web import events
 from api.web.access import Access, check_listen
+from api.web.live import Live, open_live
 from goniometer.errors import ConfigurationError
 from tests.api.service_client import Client
 

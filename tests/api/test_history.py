@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.queue import add_entry, begun
+from api.bench.queue import add_entry, begun
 from api.views.history import history
 from drivers.arrays import FloatArray
 from goniometer.catalogue import Wanted

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from analysis.scene import load_scene
-from api.imports import Request, imported_file
+from api.results.imports import Request, imported_file
 from goniometer.bird_json import parsed_json, read_bird_json
 from goniometer.bird_metadata import read_about
 from goniometer.campaign_file import load_campaign, read_campaign

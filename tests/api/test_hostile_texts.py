@@ -15,12 +15,12 @@ from rich.table import Table
 from typer.testing import CliRunner
 
 from analysis.mitsuba_scene import read_mitsuba
-from api.cli import app
-from api.exports import Options, export_dataset
-from api.foreign_scene import check_foreign_scene
-from api.imports import Request, imported_file
+from api.commands.main import app
+from api.exports.formats import Options, export_dataset
 from api.logs import log_as_json
-from api.products import report_dataset
+from api.results.foreign_scene import check_foreign_scene
+from api.results.imports import Request, imported_file
+from api.results.products import report_dataset
 from api.terminal import Terminal
 from goniometer.campaign_file import read_campaign
 from goniometer.dataset import Check, Dataset

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from analysis.errors import FitError
-from api.cli import app
-from api.exports import export_dataset
-from api.products import HowToFit, fit_dataset, last_way, report_dataset
+from api.commands.main import app
+from api.exports.formats import export_dataset
+from api.results.products import HowToFit, fit_dataset, last_way, report_dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.materials import SAMPLES, true_brdf

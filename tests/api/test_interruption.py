@@ -151,6 +151,6 @@ def test_a_killed_run_is_called_interrupted(cli: Any, folder: Path) -> None:
         process.kill()
         process.wait()
     told = cli("status", cwd=folder).stdout
-    assert "Long: reference: interrupted" in told
+    assert "Long: reference panel: interrupted" in told
     assert re.search(r"of about 162 points, \d.* \(\d.* to \d.*\) to go", " ".join(told.split()))
     assert cli("pause", cwd=folder).returncode == 2

@@ -13,13 +13,14 @@ from typing import Any
 
 import pytest
 
-from api import audit, job_rows
+from api.access import audit
 from api.errors import Conflict
 from api.events import Events
-from api.job_arguments import ExportArguments, StabilityArguments
-from api.job_rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
-from api.jobs import Jobs
-from api.retention import Retention, prune
+from api.jobs import rows as job_rows
+from api.jobs.arguments import ExportArguments, StabilityArguments
+from api.jobs.retention import Retention, prune
+from api.jobs.rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
+from api.jobs.running import Jobs
 from goniometer.errors import InputError, NotInStore, StoreError
 from goniometer.store import Store
 from tests.drawn_dataset import drawn_dataset
@@ -169,7 +170,7 @@ def test_a_service_deletes_what_is_old_by_itself_and_the_log_says_so(
     place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, path = place
-    monkeypatch.setattr("api.jobs.PRUNE_EVERY", 1.0)
+    monkeypatch.setattr("api.jobs.running.PRUNE_EVERY", 1.0)
     jobs = Jobs(store, path, tmp_path / "results", Events(), kept=Retention(newest=0, days=0))
     try:
         done = jobs.submit("export", ExportArguments(dataset=1, format="csv"), "anna")
@@ -195,7 +196,7 @@ def test_a_job_ends_with_its_result_although_the_database_was_locked_when_it_did
             raise StoreError("The database is locked")
         return finished(*how)
 
-    monkeypatch.setattr("api.jobs.AGAIN", 0.05)
+    monkeypatch.setattr("api.jobs.running.AGAIN", 0.05)
     monkeypatch.setattr(job_rows, "finish", locked)
     written = jobs.submit("export", ExportArguments(dataset=1, format="csv"), "anna")
     assert until(store, written.id, lambda found: found.finished).state == "done"

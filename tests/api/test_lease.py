@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from api import lease, queue
+from api.bench import lease, queue
+from api.bench.lease import Watcher, read_lease, release_lease, renew_lease, take_lease, take_up_stop
 from api.errors import Conflict
-from api.lease import Watcher, read_lease, release_lease, renew_lease, take_lease, take_up_stop
 from goniometer.campaign import Campaign, Sample
 from goniometer.errors import CampaignError, InputError, NotInStore, StoreBusy
 from goniometer.records import now

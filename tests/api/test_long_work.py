@@ -15,14 +15,14 @@ import pytest
 
 from analysis.fit_json import strict_json
 from api import calls
-from api.accounts import add_user
-from api.choose import choice_content, choose_model
+from api.access.accounts import add_user
+from api.access.tokens import create_token
 from api.client import Client as PythonClient
-from api.job_arguments import DoctorArguments
-from api.live import Live, open_live
-from api.products import report_dataset
-from api.tokens import create_token
-from api.tradeoff import Kind, charts
+from api.jobs.arguments import DoctorArguments
+from api.results.choose import choice_content, choose_model
+from api.results.products import report_dataset
+from api.results.tradeoff import Kind, charts
+from api.web.live import Live, open_live
 from goniometer.store import Store
 from simulators.ensemble import cells, ensemble, jobs
 from tests.api.service_client import Client

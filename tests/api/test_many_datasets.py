@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from api.cli import app
+from api.commands.main import app
 from api.datasets import find_datasets
 from goniometer.campaign import Campaign, Sample
 from goniometer.errors import NotInStore
@@ -47,7 +47,7 @@ def test_status_shows_the_newest_campaigns_and_says_how_many_it_leaves_out(tmp_p
     store.set_phase(store.scans(1)[0].id, "running")
     told = invoke("status", "-d", tmp_path / "bench.db").stdout
     assert told.startswith("Older campaigns, shown with --last: 1\n")
-    assert "C00: reference: interrupted" in told
+    assert "C00: reference panel: interrupted" in told
     assert "C01" not in told
     everything = json.loads(invoke("status", "-d", tmp_path / "bench.db", "--last", 22, "--json").stdout)
     assert (len(everything["campaigns"]), len(everything["scans"])) == (22, 44)

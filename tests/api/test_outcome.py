@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from api.outcome import SampleOutcome, outcomes, remarks
+from api.results.outcome import SampleOutcome, outcomes, remarks
 from goniometer.campaign import Campaign, Sample
 from goniometer.lineage import lacks_dataset, own_datasets
 from goniometer.store import Store

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from api.live import open_live
-from api.queue import add_entry
+from api.bench.queue import add_entry
 from api.web import pages
 from api.web.access import Access
+from api.web.live import open_live
 from goniometer.campaign import Campaign, Sample
 from tests.api.service_client import Client
 

@@ -14,8 +14,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from api.cli_quality import register
-from api.quality import settings_of
+from api.commands.quality import register
+from api.results.quality import settings_of
 from drivers.interfaces import Spectrum
 from goniometer.campaign import Campaign, Integration, Sample
 from goniometer.dataset import Check, Flag
@@ -102,7 +102,7 @@ def test_a_budget_as_json_has_the_numbers_of_the_dataset(database: Path) -> None
 
 
 def test_a_budget_where_nothing_was_measured_or_in_an_unknown_file_is_refused(database: Path) -> None:
-    with pytest.raises(GeometryError, match="no value within 2 deg"):
+    with pytest.raises(GeometryError, match="no value within 2°"):
         invoke("budget", 1, "--database", database, "--theta-in", 45)
     with pytest.raises(InputError, match=r"\.svg or \.html"):
         invoke("budget", 1, "--database", database, "--output", "budget.png")

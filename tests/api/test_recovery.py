@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.brdf_fit import brdf_fit
-from api.demo import SAMPLES
+from api.commands.demo import SAMPLES
 from goniometer.calibration import calibrate_scan
 from goniometer.campaign import Campaign
 from goniometer.store import Store

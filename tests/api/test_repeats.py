@@ -12,8 +12,8 @@ from rich.console import Console
 
 from api.datasets import campaign_datasets, find_datasets
 from api.display import progress_display
-from api.outcome import outcomes
 from api.preview import preview
+from api.results.outcome import outcomes
 from api.service import QUIET, open_bench, run
 from goniometer.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
 from goniometer.certificate_file import certificate_csv

@@ -11,10 +11,10 @@ import pytest
 from fastapi.routing import iter_route_contexts
 from starlette.exceptions import HTTPException
 
-from api.accounts import add_user, at_least
+from api.access.accounts import add_user, at_least
+from api.access.tokens import create_token
 from api.choices import ROLES, Role
-from api.live import open_live
-from api.tokens import create_token
+from api.web.live import open_live
 from tests.api.service_client import Client
 
 WHO_MAY: dict[str, Role | None] = {

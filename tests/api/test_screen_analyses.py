@@ -13,10 +13,10 @@ from playwright.sync_api import Page, expect
 from analysis.fit_json import strict_json
 from analysis.page import png
 from analysis.tradeoff import Axis, Chart, Choice, Use, charts_json
-from api.accounts import add_user
-from api.job_rows import add_job, begin, finish
-from api.stability import stability_content
-from api.tokens import create_token
+from api.access.accounts import add_user
+from api.access.tokens import create_token
+from api.jobs.rows import add_job, begin, finish
+from api.results.stability import stability_content
 from simulators.ensemble import cells
 from simulators.stability import Estimate, Job, Run
 from tests.api.browser import Looker, looker, needs_chromium

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from api.cli import app
+from api.commands.main import app
 from goniometer.errors import InputError
 from goniometer.store import Store
 

@@ -9,8 +9,8 @@ from typer.testing import CliRunner, Result
 
 from analysis.errors import AnalysisError
 from analysis.fresnel import fresnel_conductor, load_conductor
-from api.cli import app
-from api.products import fit_dataset
+from api.commands.main import app
+from api.results.products import fit_dataset
 from goniometer.errors import InputError
 from goniometer.store import Store
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from api.cli import app
-from api.simulations import store_computed
+from api.commands.main import app
+from api.commands.simulations import store_computed
 from goniometer.errors import CampaignError, InputError
 from goniometer.store import Store
 from simulators.computed import Computed

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from api.cli import app
+from api.commands.main import app
 
 # pydantic is not among them: typer itself reads the options of a command with it
 HEAVY = ("numpy", "scipy", "lmfit", "sqlalchemy", "numba", "matplotlib", "colour", "fastapi", "distributed")
 
 LOADED = f"""
 import sys
-from api.cli import main
+from api.commands.main import main
 try:
     main()
 except SystemExit as end:
@@ -42,7 +42,7 @@ def test_the_help_of_no_command_loads_them() -> None:
     code = f"""
 import sys
 from typer.main import get_command
-from api.cli import app
+from api.commands.main import app
 for path in {known!r}:
     try:
         get_command(app)([*path, "--help"], prog_name="goniometer")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from api import throttle
+from api.access import throttle
+from api.access.throttle import count_try, forgive
 from api.errors import TooManyFailures
-from api.throttle import count_try, forgive
 from goniometer.service_tables import logins
 from goniometer.store import Store
 

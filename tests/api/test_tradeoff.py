@@ -10,7 +10,7 @@ import pytest
 from analysis.fresnel import load_conductor
 from analysis.tradeoff_fits import fit_charts
 from analysis.tradeoff_models import model_charts
-from api.cli import main
+from api.commands.main import main
 from drivers.arrays import FloatArray
 from goniometer.plan_spec import PlanSpec
 from simulators.materials import material, true_brdf

@@ -35,6 +35,7 @@ from analysis.rendered_model import RenderedModel, rendered
 from analysis.svg import new_axes, style, to_svg
 from analysis.tensor_file import encode
 from drivers.arrays import FloatArray
+from tests.benchmarks.figures import tell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +44,8 @@ MODELS = ((0.005, 0.0, 0.0), (0.02, 0.7, 5.0), (0.1, 0.8, 4.8), (0.25, 1.5, 2.6)
 """alpha, h in 1/um and w."""
 
 BUDGETS = (0.1, 0.05, 0.02, 0.01)
+USUAL = 0.02
+"""Budget of an export without any wish."""
 PLAIN = ((8, 16), (16, 32), (24, 64), (32, 80), (32, 128))
 """Incident angles and nodes of a side."""
 
@@ -170,6 +173,15 @@ def main(page: Path | None) -> None:
             rows.append(row)
             print(LINE.format(*row), flush=True)
         panels.append(panel(alpha, found, first=not panels))
+        usual = min((file for file in found if file.budget == USUAL), key=lambda file: file.size)
+        how = f"kB ({usual.method}, dE00 p99 {usual.colour:.2f})"
+        tell(f"alpha {alpha:g}: smallest file with a budget of {100 * USUAL:g} %", usual.size / 1e3, how)
+        for what, error, aim in (
+            ("median", usual.error.median, "< 1"),
+            ("99th percentile", usual.error.p99, f"<= {100 * USUAL:g}"),
+            ("largest", usual.error.maximum, "< 10"),
+        ):
+            tell(f"alpha {alpha:g}: {what} of its error", 100 * error, "%", aim)
     print("\n99th percentile of the error by nodes of the lobe's table, and the smallest factor of clamping")
     print("alpha  " + "".join(f"{nodes:>9}" for nodes in LOBE_NODES) + "   factor")
     for alpha, errors, factor in lobes:

@@ -1,6 +1,8 @@
 """Predicted against rendered colour differences, and whether the chosen model is the simplest that will do.
 
-Run as a module, `python -m tests.benchmarks.choose [SAMPLES]`; needs Mitsuba. Six scenes, the last one of Mitsuba's own
+    python -m tests.benchmarks.choose [SAMPLES]
+
+needs Mitsuba. Six scenes, the last one of Mitsuba's own
 with light that other surfaces scatter, and four materials: two whose truth is a formula, two that are known by the
 table of a measurement alone. Of each the chosen model and the next cheaper one are rendered with SAMPLES (512) of a
 pixel, twice.
@@ -32,6 +34,7 @@ from analysis.verify import verify
 from analysis.vertices import Vertices
 from drivers.arrays import FloatArray
 from tests.analysis.conftest import _measure
+from tests.benchmarks.figures import tell
 
 TOLERANCE = 1.0
 PIXELS = (20, 20)
@@ -187,8 +190,9 @@ def main(samples: int = 512) -> None:
                     f"{'yes' if close else 'NO':<5}  {rest}  {'' if simplest else 'NOT THE SIMPLEST'}",
                     flush=True,
                 )
-    print(f"agree within 10 % or 0.05 (mean) and 15 % or 0.05 (p95): {agree} of {count}")
-    print(f"chosen meets, next cheaper fails, both rendered: {right} of {count}")
+    of_all, because = f"of {count}", f"noise of {samples} samples a pixel"
+    tell("predicted and rendered dE00 agree: mean in 10 %, p95 in 15 %, or 0.05", agree, of_all, f"= {count}", because)
+    tell("the chosen model meets the tolerance, the next cheaper one fails it", right, of_all, f"= {count}", because)
 
 
 if __name__ == "__main__":

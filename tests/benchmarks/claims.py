@@ -43,6 +43,7 @@ from tests.benchmarks.claims_waves import (
     slopes,
     spectra,
 )
+from tests.benchmarks.figures import tell
 
 NAMES = tuple(f"sample-{number}" for number in range(1, 6))
 SEEDS = (2, 3)
@@ -104,7 +105,17 @@ def by_sample() -> tuple[dict[str, Slopes], dict[str, Slopes]]:
         f"square, and {np.abs(apart).max():.2f} at most; the standard errors foretell "
         f"{np.sqrt(np.mean(np.square(errors))):.2f}"
     )
+    for kind, results in (("smooth", smooth), ("micro-roughness", micro)):
+        for band, tilts in BANDS.items():
+            told = [found.band(tilts) for found in results.values()]
+            lit = [m for m, _, share in told if share > 0.5]
+            if lit:
+                tell(f"{kind}, theta_m {band}: mean slope of Samples 1 to 5", np.mean(lit), _span(lit))
     return smooth, micro
+
+
+def _span(slopes: list[float]) -> str:
+    return f"1/um ({min(slopes):+.2f} to {max(slopes):+.2f})"
 
 
 def by_incidence(smooth: Mapping[str, Slopes], micro: Mapping[str, Slopes]) -> None:

@@ -27,9 +27,9 @@ from distributed.protocol.pickle import dumps
 from analysis.fresnel import fresnel_conductor, load_conductor
 from analysis.report import NO_RUN
 from api.cluster import connected
-from api.derive import derive
 from api.executor import processes
-from api.products import fit_datasets
+from api.results.derive import derive
+from api.results.products import fit_datasets
 from goniometer.store import Store
 from simulators.choices import Kernel
 from simulators.diffraction import seen_through
@@ -39,6 +39,7 @@ from simulators.rays import terrain
 from simulators.topography import topography
 from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import simulate
+from tests.benchmarks.figures import tell
 from tests.drawn_dataset import drawn_dataset
 
 WORKERS = os.cpu_count() or 1
@@ -114,7 +115,8 @@ def efficiency(pool: Executor, dask: Executor) -> None:
                 results.add(repr(list(ensemble(wanted, executor))))
                 took[name].append(time.perf_counter() - before)
                 used[name].append(processor_seconds() - begun)
-    print(f"{len(wanted)} fits, {ROUNDS} rounds, {WORKERS} processors; results alike: {len(results) == 1}")
+    print(f"{len(wanted)} fits, {ROUNDS} rounds, {WORKERS} processors")
+    tell("different results of one process, a pool and a cluster", len(results), aim="= 1")
     alone, work = np.median(took["one process"]), np.median(used["one process"])
     for name, seconds in took.items():
         many = 1 if name == "one process" else WORKERS
@@ -123,6 +125,7 @@ def efficiency(pool: Executor, dask: Executor) -> None:
             f"{name:12} {middle:6.1f} s   speed-up {alone / middle:4.2f}   efficiency {alone / middle / many:4.2f}   "
             f"{busy:6.1f} s of processors, {100 * work / busy:3.0f} % work"
         )
+        tell(f"{len(wanted)} fits, {name}: efficiency", 100 * alone / middle / many, f"% of {many} ({middle:.1f} s)")
 
 
 def overhead(name: str, executor: Executor) -> None:
@@ -131,7 +134,7 @@ def overhead(name: str, executor: Executor) -> None:
     before, used = time.perf_counter(), time.process_time()
     list(executor.map(abs, range(EMPTY)))
     clock, used = (time.perf_counter() - before) / EMPTY, (time.process_time() - used) / EMPTY
-    print(f"{name:12} {1e3 * clock:6.2f} ms a task, of them {1e3 * used:6.2f} ms of this process")
+    tell(f"a task without work, {name}", 1e3 * clock, f"ms, {1e3 * used:.2f} ms of it computing here")
 
 
 def tasks() -> None:
@@ -151,7 +154,7 @@ def tasks() -> None:
         size = datasets[0].theta_in.size
         print(watched.line(f"fit, {size} spectra"))
         stored = sum(len(fit.text) for fit in store.fits(made[0]))
-        print(f"{'':22} the database: {1e3 * kept:.0f} ms and {1e-3 * stored:.0f} kB a dataset")
+        tell("the database keeps the fits of a dataset", 1e3 * kept, f"ms ({1e-3 * stored:.0f} kB)")
         with Watched() as apart:
             for each in made:
                 apart.submit(derive, store.dataset(each), NO_RUN).result()

@@ -28,6 +28,7 @@ from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.materials import PANEL_CERTIFICATE, material, true_brdf
+from tests.benchmarks.figures import tell
 from tests.benchmarks.measured import measure
 
 WRONG = Imperfections(stray_light=1e-3, wavelength_offset=2.0)
@@ -118,11 +119,10 @@ def table() -> dict[str, tuple[float, float]]:
 
 
 def main() -> None:
-    """Print the table."""
-    print(f"{'correction':16} {'sample':10} {'bias with it':>14} {'without it':>12} {'ratio':>7}")
+    """Tell the bias without each over that with it."""
     for correction, (with_it, without) in table().items():
-        ratio = without / with_it
-        print(f"{correction:16} {SAMPLE_OF[correction]:10} {with_it:14.2%} {without:12.2%} {ratio:7.1f}")
+        what = f"{correction} on {SAMPLE_OF[correction]}: bias without over bias with the correction"
+        tell(what, without / with_it, f"({without:.2%} over {with_it:.2%})", "> 1")
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from goniometer.constants import BenchData
 from goniometer.store import Store
 from simulators.imperfections import drawn, generator
 from simulators.materials import material, true_brdf
+from tests.benchmarks.figures import tell
 from tests.benchmarks.measured import measure
 
 SAMPLES = ("sample-1", "sample-4", "sample-5")
@@ -117,6 +118,7 @@ def report(found: list[Scores]) -> dict[str, float]:
 
 if __name__ == "__main__":
     wanted = range(1, 1 + int(sys.argv[1] if len(sys.argv) > 1 else 50))
-    report(run(wanted))
-    print("\nWithout looks at the lamp and at stray light:")
-    report(run(wanted, watched=False))
+    for watched, how in ((True, ""), (False, ", without looks at the lamp and at stray light")):
+        print(f"{len(wanted)} benches{how}")
+        for sample, share in report(run(wanted, watched)).items():
+            tell(f"{sample}, {len(wanted)} benches{how}", 100 * share, "% of cells", "93 to 97" if watched else "")

@@ -1,4 +1,8 @@
-"""Every fault on every device, while the driver does its daily work; run as a script it prints the matrix as a table.
+"""Every fault on every device, while the driver does its daily work.
+
+    python -m tests.benchmarks.fault_matrix [COUNT]
+
+prints a table of what came of COUNT (4) strikes for each fault and device.
 
 A strike is one run: the device is opened, homed and used while a fault befalls it, then it is made usable again as
 the bench would do it (`Instrument.recover`) and must work as on the first day. What must never happen is noted as a
@@ -20,6 +24,7 @@ from drivers.errors import DriverError
 from drivers.modbus_line import PAUSES
 from drivers.serial_port import ATTEMPTS
 from simulators.faults import LASTING, Fault, FaultScript, Kind
+from tests.benchmarks.figures import tell
 from tests.benchmarks.rigs import DEVICES, LASTS, NAME, TIMEOUT, Rig, make_rig
 
 BLIND = {("K10CR1", Kind.DRIFT)}
@@ -215,7 +220,12 @@ def main(count: int) -> int:
             row += f"{words}{f'({retries})' if retries else ''} {max(s.seconds for s in strikes):.2f} s".rjust(27)
         print(row, flush=True)
     print(*breaches, sep="\n")
-    print(f"{len(breaches)} breaches in {count * len(Kind) * len(DEVICES)} strikes")
+    tell(f"strikes: {len(Kind)} faults on {len(DEVICES)} devices, {count} of each", count * len(Kind) * len(DEVICES))
+    tell(
+        "breaches: wrong data, a hang, an error without type, a leak, a device of no use afterwards",
+        len(breaches),
+        aim="= 0",
+    )
     return bool(breaches)
 
 

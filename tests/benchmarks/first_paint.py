@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from api.tokens import create_token
-from tests.api.test_screen import CHROMIUM
+from api.access.tokens import create_token
+from tests.api.browser import CHROMIUM
+from tests.benchmarks.figures import tell
 from tests.served import served
 
 TIMES = 10
@@ -35,10 +36,9 @@ def main() -> None:
             kinds = "[...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
             sizes.append(page.evaluate(f"{kinds}.reduce((sum, each) => sum + each.transferSize, 0)"))
         browser.close()
-    print(f"{'':34} {'median':>8} {'worst':>8}")
-    for name, values in (("first contentful paint, ms", paints), ("the arm is drawn, ms", arms)):
-        print(f"{name:34} {np.median(values):8.0f} {np.max(values):8.0f}")
-    print(f"{'transferred without the 3D view, kB':34} {np.median(sizes) / 1000:7.0f} {np.max(sizes) / 1000:8.0f}")
+    tell("first contentful paint, median", np.median(paints), f"ms (worst {max(paints):.0f})", "< 1000")
+    tell("the arm is drawn, median", np.median(arms), f"ms (worst {max(arms):.0f})")
+    tell("transferred without the 3D view", max(sizes) / 1000, "kB", "< 300")
 
 
 if __name__ == "__main__":

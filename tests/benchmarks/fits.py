@@ -30,6 +30,7 @@ from analysis.results import LocalFit
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
+from tests.benchmarks.figures import tell
 
 NOISE = 0.01
 
@@ -87,12 +88,9 @@ def local() -> None:
     plain, _ = fastest(lambda: by_plain_lmfit(made), 2)
     difference = np.abs(of_fast.slope - local_fit(made, engine="lmfit").slope).max()
     print(f"local fit, {points} spectra x {wavelengths.size} wavelengths; lmfit as it comes, spectrum by spectrum")
-    print(f"  lmfit.minimize, which gives standard errors by the noise {plain * 1e3:6.0f} ms")
-    print(
-        f"  all at once, the fit alone                               {alone * 1e3:6.1f} ms, ratio {plain / alone:.0f}"
-    )
-    print(f"  all at once, with u(m) by all errors and r2              {fast * 1e3:6.1f} ms, ratio {plain / fast:.0f}")
-    print(f"  largest difference of the slopes, lmfit at its tightest tolerances {difference:.1e} 1/um\n")
+    tell("local fit: time of lmfit over that of all spectra at once", plain / alone, f"({alone * 1e3:.1f} ms)", ">= 50")
+    tell("the same with u(m) by all errors and r2", plain / fast, f"({fast * 1e3:.1f} ms)")
+    tell("local fit: largest difference of slopes from lmfit's at its tightest", difference, "1/um", "<= 1e-8")
 
 
 def by_plain_lmfit(made: Dataset) -> FloatArray:
@@ -145,6 +143,7 @@ def cosine() -> None:
     """The best of 200 random starts of each engine against the grid with its refinement."""
     print("global fit (h, w, t_y), 200 random starts: chi-square over that of the grid, share that reaches the lowest")
     print(f"  {'slopes':26}{'grid':>8}{'fit':>9}{'best of fast':>14}{'share':>7}{'best of lmfit':>15}{'share':>7}")
+    best, slowest = 0, 0.0
     for name in SLOPES:
         made, found = slopes_of(name)
         milliseconds, fit = fastest(lambda made=made, found=found: global_fit(made, found))
@@ -166,7 +165,11 @@ def cosine() -> None:
             f"  {name:26}{grid * 1e3:5.1f} ms{milliseconds * 1e3:6.0f} ms"
             + "".join(f"{ratio:{width}.9f}{share:7.0%}" for (ratio, share), width in zip(cells, (14, 15), strict=True))
         )
-    print()
+        best += name != "pure noise" and all(ratio >= 1 - 1e-6 for ratio, _ in cells)
+        slowest = max(slowest, milliseconds * 1e3)
+    sound = len(SLOPES) - 1
+    tell("global fit: materials where no random start of either engine ends lower", best, f"of {sound}", f"= {sound}")
+    tell("global fit: slowest", slowest, "ms", "<= 20")
 
 
 USUAL = (0.1, 0.3, 0.5)
@@ -197,6 +200,7 @@ def shift() -> None:
     print("Cook-Torrance with shift, 81 wavelengths, h = 1.2 1/um, w = 3.4; cold start")
     print(f"  {'alpha':>7}{'points':>7}{'scans + fast':>24}{'one lmfit run':>24}{'time ratio':>12}")
     everything = np.ones(3, dtype=bool)
+    ratios, ours_found, theirs_found = [], 0, 0
     for alpha in ALPHAS:
         data = rough(alpha, 0.65, wavelengths)
 
@@ -217,7 +221,13 @@ def shift() -> None:
             good = abs(parameters[0] / alpha - 1) < 0.02
             cells.append(f"{parameters[0]:10.5f} {'found ' if good else 'MISSED'}{seconds * 1e3:5.0f} ms")
         print(f"  {alpha:7g}{data.theta_in.size:7d}{cells[0]:>24}{cells[1]:>24}{ours / theirs:12.2f}")
-    print()
+        ratios.append(ours / theirs)
+        ours_found += "found" in cells[0]
+        theirs_found += "found" in cells[1]
+    count = len(ALPHAS)
+    tell("Cook-Torrance with shift, cold start: roughnesses found", ours_found, f"of {count}", f"= {count}")
+    tell("the same by one plain lmfit run", theirs_found, f"of {count}")
+    tell("time over that of one plain lmfit run, largest", max(ratios), aim="<= 1.5")
 
 
 def by_plain_descent(view: View, data: LoewData, start: float = 0.3, bounded: bool = True) -> FloatArray:
@@ -261,6 +271,7 @@ def plain() -> None:
                 cells += f"{'found' if good else f'{value:.3g}':>10}"
         print(f"  {alpha:7g}{cells}{'found' if scanned else 'MISSED':>8}", flush=True)
     print(f"  {'missed':>7}" + "".join(f"{count:>10}" for count in missed.ravel()) + "\n")
+    tell("plain lmfit runs from usual starts that miss the roughness", missed.sum(), f"of {missed.size * len(ALPHAS)}")
 
 
 def starts() -> None:
@@ -269,7 +280,9 @@ def starts() -> None:
     wavelengths = np.linspace(380, 780, 11)
     print(f"Cook-Torrance with shift, {count} random starts (alpha 0.002 to 1, |h| < 3 1/um, w < 12)")
     print(f"  {'alpha':>7}{'scans reach it':>16}{'fast':>8}{'lmfit':>8}")
-    for alpha in (0.01, 0.05, 0.18, 0.364):
+    alphas, reach = (0.01, 0.05, 0.18, 0.364), 0
+    by_engine = []
+    for alpha in alphas:
         data = rough(alpha, 4.0, wavelengths)
         found = find_starts(form, data)
         posed, everything = problem(found.view, data), np.ones(3, dtype=bool)
@@ -283,7 +296,12 @@ def starts() -> None:
         shares = [np.mean(costs <= lowest * (1 + 1e-4)) for costs in ends.values()]
         reached = "yes" if scanned <= lowest * (1 + 1e-4) else "NO"
         print(f"  {alpha:7g}{reached:>16}" + "".join(f"{share:8.0%}" for share in shares))
-    print()
+        by_engine.append(shares)
+        reach += reached == "yes"
+    tell("scans that reach the lowest cost of all random starts", reach, f"of {len(alphas)}", f"= {len(alphas)}")
+    for engine, shares in zip(("fast", "lmfit"), np.transpose(by_engine), strict=True):
+        span = f"% ({100 * shares.min():.0f} to {100 * shares.max():.0f})"
+        tell(f"random starts that reach it, engine {engine}, mean", 100 * shares.mean(), span)
 
 
 def descents(posed: SumOfSquares, cold: FloatArray, engine: Engine) -> FloatArray:

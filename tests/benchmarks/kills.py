@@ -1,4 +1,4 @@
-"""Processes killed at any instant, and what is lost by it: nothing may be. Run as `python -m tests.benchmarks.kills`.
+"""Processes killed at any instant, and what is lost by it: nothing may be.
 
     python -m tests.benchmarks.kills [--kills N] [--seed S]
 
@@ -13,7 +13,6 @@ reaches the disk before a commit returns is SQLite's `synchronous=FULL`, which n
 import argparse
 import asyncio
 import hashlib
-import json
 import os
 import random
 import select
@@ -43,6 +42,7 @@ from goniometer.records import Scan
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from goniometer.upgrade import upgrade
+from tests.benchmarks.figures import tell
 from tests.campaign_bench import NOMINAL_PANEL
 from tests.goniometer.old_databases import SCHEMAS, build
 
@@ -386,27 +386,23 @@ def _clear(file: Path) -> None:
 
 
 def main() -> None:
-    """Kill, and print what came of it as JSON; exit with 1 where anything was lost."""
+    """Kill, and tell what came of it; exit with 1 where anything was lost."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=210)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     chance, tally = random.Random(asked.seed), Tally()
-    began = time.monotonic()
     keepers = asked.kills * 3 // 10
     with tempfile.TemporaryDirectory() as name:
         kill_campaigns(Path(name), asked.kills - keepers, chance, tally)
         kill_keepers(Path(name), keepers, chance, tally)
-    found = {
-        "kills": sum(tally.kills.values()),
-        "by place": dict(sorted(tally.kills.items())),
-        "campaigns": tally.campaigns,
-        "points": tally.points,
-        "faults": tally.faults,
-        "seconds": round(time.monotonic() - began, 1),
-        "load": round(os.getloadavg()[0], 1),
-    }
-    print(json.dumps(found, indent=2))
+    print(*tally.faults, sep="\n")
+    tell("SIGKILLs", tally.kills.total(), aim=f">= {asked.kills}")
+    for place, kills in sorted(tally.kills.items()):
+        tell(f"of these: {place}", kills)
+    tell("campaigns that came to their end", tally.campaigns)
+    tell("points measured in them", tally.points)
+    tell("lost, doubled or changed", len(tally.faults), aim="= 0")
     sys.exit(1 if tally.faults else 0)
 
 

@@ -1,6 +1,8 @@
-"""What a pass of the plan costs at 400 points of 1044 wavelengths. Run as a module.
+"""What a pass of the plan costs at 400 points of 1044 wavelengths.
 
-Prints milliseconds of processor time, and each as a part of the time in which the bench measures a batch meanwhile.
+    python -m tests.benchmarks.planning_cost
+
+Tells milliseconds of processor time, and each as a part of the time in which the bench measures a batch meanwhile.
 """
 
 import time
@@ -15,6 +17,7 @@ from goniometer.learning import learnt_from
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points
 from goniometer.route import Motion, travel
 from simulators.tradeoff_scans import process_of, uniform_directions
+from tests.benchmarks.figures import tell
 from tests.benchmarks.sampling import THETA_IN
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS
 
@@ -68,7 +71,8 @@ def main() -> None:
         f"prediction at {everywhere[0].size} directions": best(lambda: predict_values(process, *everywhere)),
     }
     for what, cost in costs.items():
-        print(f"{what:60}{cost:8.1f} ms {100 * cost / duration:6.2f} % of the next batch")
+        aim = "< 50" if what.startswith("a pass") else ""
+        tell(what, cost, f"ms, {100 * cost / duration:.2f} % of the next batch", aim)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from goniometer.geometry import Geometry
 from goniometer.raw import RawScan
 from goniometer.records import pack_dataset
 from goniometer.response import Settings
+from tests.benchmarks.figures import tell
 from tests.goniometer.forward import Bench, Wrong, lobe, spectralon
 
 REPEATS = 7
@@ -69,7 +70,8 @@ def main() -> None:
     }
     for name, work in rows.items():
         middle, least, largest = median(work)
-        print(f"{name:40} {middle:7.3f} s ({least:.3f} to {largest:.3f})")
+        aim = "< 1" if name.startswith("calibrate") else ""
+        tell(name, middle, f"s ({least:.3f} to {largest:.3f})", aim)
     for settings, dataset in datasets.items():
         size = len(pack_dataset(dataset)) / 1e6
         print(f"{settings.bin_size} pixels a bin: {dataset.brdf.shape}, {len(dataset.sources)} sources, {size:.1f} MB")

@@ -30,6 +30,7 @@ from analysis.results import Albedo
 from analysis.svg import new_axes, style, to_svg
 from analysis.vase_scene import DEPTH, SceneFiles, vase_scene
 from drivers.arrays import FloatArray
+from tests.benchmarks.figures import tell
 
 ROUNDS = 24
 SIZES = {"llvm_ad_spectral": (128, 32), "scalar_spectral": (64, 8)}
@@ -153,8 +154,21 @@ def show(found: list[Way], pictures: Pictures, once: Pictures, variant: str) -> 
             line += f"{seen.mean:8.3f}{seen.u_mean:7.3f}{seen.p95:7.3f}{np.median(error):10.2%}"
             line += f"{np.percentile(np.abs(error), 99):9.2%}"
         print(f"{line}{way.report.written.error.p99:10.2%}")
+    for i, way in enumerate(found):
+        if way.plain:
+            middle, _, _, error = ratio(pictures, names.index(way.plain), i)
+            slow = "plugin" in way.name and variant.startswith("scalar")
+            because = "Python evaluates a plugin in this variant" if slow else ""
+            what = f"{variant}: {way.name}: render time of the shift"
+            tell(what, 100 * (middle - 1), f"± {100 * error:.1f} %", "<= 3", because)
+    for i, way in enumerate(found):
+        if way.report is not None:
+            off = np.percentile(np.abs(block_error(once, names.index(way.exact), i)), 99)
+            because = "no error is stated beyond 80° from the normal, where silhouettes are"
+            what = f"{variant}: {way.name} against the plugin, 99th percentile of blocks, reflected once"
+            tell(what, 100 * off, "%", f"<= {100 * way.report.written.error.p99:.2f}", because)
     worst = np.nanmax(compare(pictures, 0, 1).difference)
-    print(f"plugin without shift against Mitsuba's own: largest dE00 of a pixel {worst:.2g}")
+    tell(f"{variant}: plugin without shift against Mitsuba's own, largest dE00 of a pixel", worst)
     print("Y: relative difference of blocks of 4 x 4 pixels; file p99: what the file says of itself")
 
 
@@ -199,6 +213,7 @@ def main() -> None:
             print(f"{variant}: {error}")
             continue
         show(found, by_variant[variant], rendered(found, variant, 2, depth=2), variant)
+    tell("variants of Mitsuba that work here", len(by_variant), f"of {len(VARIANTS)}: {', '.join(by_variant)}")
     if arguments.page is not None:
         caption = escape("Median and quartiles of the rounds, rendered by turns.")
         body = ["<h1>Render times</h1>", figure([chart(found, by_variant)], caption, "alone")]

@@ -1,4 +1,4 @@
-"""A service that is killed and started again, time after time, while campaigns are ordered; run as a script.
+"""A service that is killed and started again, time after time, while campaigns are ordered.
 
     python -m tests.benchmarks.restarts [--restarts N] [--seed S]
 
@@ -25,13 +25,14 @@ from typing import Any
 
 import httpx
 
-from api import audit
-from api.serve import Listen, serve
-from api.tokens import create_token, ensure_first_user
+from api.access import audit
+from api.access.tokens import create_token, ensure_first_user
+from api.web.serve import Listen, serve
 from goniometer.database import Database
 from goniometer.integrity import check
 from goniometer.store import Store
 from tests.api.nursery import HEAVY
+from tests.benchmarks.figures import tell
 from tests.benchmarks.kills import live, opened
 from tests.served import TINY
 
@@ -116,7 +117,7 @@ def prepared(file: Path) -> str:
 
 
 def main() -> None:
-    """Restart, and print what came of it as JSON; exit with 1 where anything was lost."""
+    """Restart, and tell what came of it; exit with 1 where anything was lost."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--restarts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
@@ -124,7 +125,6 @@ def main() -> None:
     for heavy in HEAVY:  # once, and not in every life
         importlib.import_module(heavy)
     chance = random.Random(asked.seed)
-    began = time.monotonic()
     confirmed: list[dict[str, Any]] = []
     faults: list[str] = []
     with tempfile.TemporaryDirectory() as name:
@@ -155,15 +155,11 @@ def main() -> None:
         lives = len(urls(file))
     if lives != asked.restarts:
         faults.append(f"the log tells of {lives} lives of {asked.restarts}")
-    found = {
-        "restarts": asked.restarts,
-        "queued": len(confirmed),
-        "log rows": verdict.rows,
-        "faults": faults,
-        "seconds": round(time.monotonic() - began, 1),
-        "load": round(os.getloadavg()[0], 1),
-    }
-    print(json.dumps(found, indent=2))
+    print(*faults, sep="\n")
+    tell("kills and restarts", lives, aim=f">= {asked.restarts}")
+    tell("campaigns that it confirmed as queued", len(confirmed), aim="> 0")
+    tell("rows of the log of who did what", verdict.rows)
+    tell("lost, doubled or changed", len(faults), aim="= 0")
     sys.exit(1 if faults else 0)
 
 

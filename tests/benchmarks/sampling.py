@@ -1,6 +1,8 @@
 """Accuracy against points and time of dynamic resolution, beside uniform grids and midpoint refinement.
 
-Run as a module, `python -m tests.benchmarks.sampling [CHART.svg]`. Prints a table and draws a chart. All materials are
+    python -m tests.benchmarks.sampling [CHART.svg]
+
+Prints a table and draws a chart. All materials are
 known exactly (`sampling_materials`), are read through the aperture, and carry 0.1 % of noise. Errors are those of
 reading the BRDF between the points, on a grid of 0.1 degrees at nine incident angles.
 """
@@ -28,6 +30,7 @@ from simulators.tradeoff_scans import (
     through_pchip,
     uniform_directions,
 )
+from tests.benchmarks.figures import tell
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS, Truth
 
 THETA_IN = tuple(float(t) for t in range(0, 81, 10))
@@ -285,11 +288,18 @@ def chart(everything: dict[str, list[Result]]) -> str:
 def main(arguments: Sequence[str]) -> None:
     """Print the tables, and write the chart where a path is given."""
     everything = {name: sample(name, truth) for name, truth in MATERIALS.items()}
-    print("\nratio of points at equal rms error of ln(1 + v): worst of all tolerances, and aim")
+    print()
+    trust = []
     for name, results in everything.items():
         worst = max(ratio(r, results, lambda r: r.rms) for r in results if r.method == "dynamic")
         dark = max(ratio(r, results, lambda r: r.rms_dark) for r in results if r.method == "dynamic")
-        print(f"  {name:20}{worst:7.3f}{dark:7.3f}{AIMS.get(name, 1.0):7.2f}")
+        what = f"{name}: points over a uniform grid of equal rms error"
+        tell(what, worst, f"({dark:.3f} in ln(0.0001 + v))", f"<= {AIMS.get(name, 1.0):g}")
+        asked = results[-1]
+        tell(f"{name}: points an incident angle for dE00 0.1", asked.points, f"(dE00 {asked.colour:.3f})", "<= 20")
+        trust += [r.predicted / r.rms for r in results if r.method == "dynamic"]
+    tell("predicted over actual rms error, lowest", min(trust))
+    tell("predicted over actual rms error, highest", max(trust))
     if arguments:
         Path(arguments[0]).write_text(chart(everything), encoding="utf-8")
 

@@ -1,4 +1,6 @@
-"""Are lobes missed that lie between all points? Run as a module, `python -m tests.benchmarks.sampling_search [COUNT]`.
+"""Are lobes missed that lie between all points?
+
+    python -m tests.benchmarks.sampling_search [COUNT]
 
 A lobe of random place, width (0.3 to 30 degrees) and height (five decades) stands on a diffuse ground and is seen
 through the aperture. It is sampled with and without a pre-scan. Without one a narrow lobe is found by chance; with one
@@ -17,6 +19,7 @@ from drivers.arrays import FloatArray
 from goniometer.interpolant import predict_values
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points, segments
 from goniometer.sweep import Swept, averaged
+from tests.benchmarks.figures import tell
 from tests.goniometer.test_sweep import intervals
 
 THETA_IN = 30.0
@@ -121,7 +124,6 @@ def main(arguments: Sequence[str]) -> None:
         rows.append((case, clear, sampled(case, swept, random), sampled(case, [], random)))
     print(f"{count} lobes at theta_in = {THETA_IN:g} degrees, {time.perf_counter() - begin:.0f} s")
     above = [row for row in rows if row[1] > 5]
-    print(f"{len(above)} stand above the noise of the pre-scan by more than five standard deviations")
     print(
         f"{'width':>12}{'lobes':>7}   with pre-scan: missed, points, median and worst error   without: missed, points"
     )
@@ -140,6 +142,10 @@ def main(arguments: Sequence[str]) -> None:
     for case, clear, found, _ in above:
         if found.missed:
             print(f"missed: {case}, {clear:.1f} standard deviations above the noise, error {found.error:.4f}")
+    tell("random lobes more than five standard deviations above the noise of the pre-scan", len(above))
+    tell("missed of those, with the pre-scan", sum(row[2].missed for row in above), aim="= 0")
+    tell("missed of those, without it", 100 * float(np.mean([row[3].missed for row in above])), "%")
+    tell("worst error of ln(1 + v) with it", max(row[2].error for row in above))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Points and minutes of scans that are driven by a scene, beside those of a scan of all directions.
 
-Run as a module, `python -m tests.benchmarks.scene_scan [TOLERANCE [MATERIAL ...]]`. All materials are known exactly
+    python -m tests.benchmarks.scene_scan [TOLERANCE [MATERIAL ...]]
+
+All materials are known exactly
 (`sampling_materials`) and are measured as in `sampling`. The scan of all directions is that of a campaign without any
 wish (0.005 and dE00 0.2); the same with the scene's TOLERANCE (0.5) alone stands beside it. The error of both is that
 of the scene's image: mean dE00 between the material and what its scan tells of it. The weights of a scene are those of
@@ -27,6 +29,7 @@ from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reac
 from simulators.tradeoff_scans import bench_minutes
 from tests.benchmarks.choose import CAMERA
 from tests.benchmarks.choose import SCENES as OF_CHOICE
+from tests.benchmarks.figures import tell
 from tests.benchmarks.sampling import SPEC, measure
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS, Truth
 
@@ -112,12 +115,12 @@ def main(tolerance: float = 0.5, names: Sequence[str] = CHOSEN) -> None:
                 f"   not measurable {1 - found.measurable:.1%}",
                 flush=True,
             )
-    for kind, of_all in ratios.items():
-        print(
-            f"{kind}: median points over those of a scan of all directions {np.median(of_all):.2f}, over one "
-            f"with the same tolerance alone {np.median(alone_ratios[kind]):.2f}"
-        )
-    print(f"tolerance reached in {met} of {count} scenes")
+    kinds = {"directional": ("directional lights", "<= 0.25"), "around": ("environments", "<= 0.667")}
+    for kind, (lights, aim) in kinds.items():
+        alone_ratio = f"({np.median(alone_ratios[kind]):.2f} of one of the same tolerance)"
+        what = f"{lights}, dE00 {tolerance:g}: points over those of a scan of all directions, median"
+        tell(what, np.median(ratios[kind]), alone_ratio, aim)
+    tell("scans that reach the tolerance in their scene", met, f"of {count}", f"= {count}")
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from tests.benchmarks.figures import tell
 from tests.served import LONG
 
 STREAMS = 50
@@ -161,7 +162,7 @@ def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        command = [sys.executable, "-c", "from api.cli import main; main()", "serve", "--port", "0"]
+        command = [sys.executable, "-c", "from api.commands.main import main; main()", "serve", "--port", "0"]
         command += ["--mount-by-itself", "-d", str(folder / "bench.db"), "-o", str(folder / "results")]
         with (folder / "log").open("w") as log:
             process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -266,11 +267,17 @@ def show(
             f"{kind:28} {done / seconds:9.1f} {100 * (1 - done / seconds / alone):7.1f} % {1000 * bench / done:19.2f} "
             f"{100 * bench / seconds:8.0f} % {100 * server / seconds:9.0f} %"
         )
+        if kind == KINDS[0]:
+            tell("points a second while nobody listens", alone)
+        else:
+            aim, because = ("< 5", "the simulated bench takes all of a core") if kind == KINDS[1] else ("", "")
+            tell(f"{kind}: points a second fall by", 100 * (1 - done / seconds / alone), "%", aim, because)
     print(f"a stream saw {events / TURNS / STREAMS:.0f} events a turn\n")
     print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
     for path, values in latencies.items():
         median, high, worst = 1000 * np.percentile(values, [50, 99, 100])
         print(f"{path:34} {len(values):9} {median:8.1f} {high:8.1f} {worst:8.1f}")
+        tell(f"`{path}`, 99 %", high, f"ms (worst {worst:.0f})", "< 50")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Which form of the shift's slope fits what: `python -m tests.benchmarks.shift_forms` prints a table.
+"""Which form of the shift's slope fits what.
+
+    python -m tests.benchmarks.shift_forms
 
 Truths are slopes of two components whose shares are Gaussian or Fermi functions of the angles, and the paper's cosine;
 none is of the form of `two_component_slope`. A row shows what the best fit of each form leaves, as a share of the
@@ -14,6 +16,7 @@ from analysis.directions import in_plane
 from analysis.models import cosine_slope
 from analysis.two_component import mixed_slope, two_component_slope
 from drivers.arrays import FloatArray
+from tests.benchmarks.figures import tell
 
 _GRID = np.meshgrid(np.arange(0.0, 81, 10), np.arange(-80.0, 81, 4), indexing="ij")
 _SEEN = np.abs(_GRID[0] + _GRID[1]) >= 5
@@ -84,8 +87,12 @@ def missed(truth: FloatArray, form: Form, starts: int = 24) -> float:
 def main() -> None:
     """Print the table."""
     print(f"{'slopes':18}" + "".join(f"{name:>20}" for name in FORMS))
+    left = []
     for name, truth in TRUTHS.items():
-        print(f"{name:18}" + "".join(f"{missed(truth, form):20.4f}" for form in FORMS.values()), flush=True)
+        left.append([missed(truth, form) for form in FORMS.values()])
+        print(f"{name:18}" + "".join(f"{each:20.4f}" for each in left[-1]), flush=True)
+    for form, shares in zip(FORMS, 100 * np.transpose(left), strict=True):
+        tell(f"{form}: what is left of the slopes, median", np.median(shares), f"% (at most {shares.max():.1f} %)")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Point after point on a bench on which something happens all the time; run as a script: soak.py [points] [rate].
+"""Point after point on a bench on which something happens all the time.
+
+    python -m tests.benchmarks.soak [POINTS [RATE]]
 
 The real scheduler runs campaigns with a uniform step through the real drivers. At every point a fault of any kind may
 be laid in wait for one of the devices. When a run ends with an error an operator repairs what only a person can and
@@ -24,6 +26,7 @@ from goniometer.progress import Progress
 from goniometer.store import Store
 from simulators.faults import LASTING, Fault, FaultScript, Kind
 from simulators.laboratory import Laboratory
+from tests.benchmarks.figures import tell
 from tests.benchmarks.nights import LASTS, ROLES, run
 from tests.benchmarks.truth import Truth, lost, wrong
 
@@ -33,7 +36,7 @@ STAGES = (("smc100", "oriental-az"), ("owis", "k10cr1"))
 """Families of the stages of one campaign and of the next."""
 MATERIALS = ("sample-1", "sample-4")
 INCIDENT = (10.0, 25.0, 40.0, 55.0)
-EVERY = 1000
+EVERY = 500
 """Points between two looks at the memory."""
 RUNS = 1000
 """How often the operator starts a campaign at most."""
@@ -201,16 +204,23 @@ def main(points: int, rate: float) -> int:
     """Print what came of it; returns 1 where a point is wrong, or lost without a stage that is too slow."""
     logging.getLogger().addHandler(logging.NullHandler())
     soaked = soak(points, rate=rate, verbose=True)
-    print(f"points            {soaked.points} in {soaked.seconds:.0f} s, {soaked.points / soaked.seconds:.1f} a second")
+    print(f"points a second   {soaked.points / soaked.seconds:.1f}")
     print(f"requests struck   {soaked.struck.total()}: {dict(sorted(soaked.struck.items()))}")
     print(f"tried again       {dict(soaked.retries)}")
     print(f"runs ended        {soaked.ended.total()}: {dict(soaked.ended)}")
-    print(f"points given up   {len(soaked.lost)}", *soaked.lost[:20], sep="\n  ")
-    print(f"points lost       {len(soaked.unexplained)}")
-    print(f"points wrong      {len(soaked.wrong)}", *soaked.wrong[:20], sep="\n  ")
+    print("points given up  ", *soaked.lost[:20], sep="\n  ")
+    print("points wrong     ", *soaked.wrong[:20], sep="\n  ")
     print("resident memory  ", ", ".join(f"{at}: {size:.0f} MB" for at, size in soaked.memory))
-    print(f"threads           {soaked.threads[0]} -> {soaked.threads[1]}")
-    print(f"descriptors       {soaked.descriptors[0]} -> {soaked.descriptors[1]}")
+    tell("points", soaked.points)
+    tell("requests struck", soaked.struck.total(), f"by {len(soaked.struck)} kinds of faults")
+    tell("runs ended by a typed error and taken up again", soaked.ended.total())
+    tell("points wrong, twice there or missing", len(soaked.wrong), aim="= 0")
+    tell("points given up because a stage was ten times too slow", len(soaked.lost) - len(soaked.unexplained))
+    tell("points given up for another reason", len(soaked.unexplained), aim="= 0")
+    tell("threads left", soaked.threads[1] - soaked.threads[0], aim="= 0")
+    tell("descriptors left", soaked.descriptors[1] - soaked.descriptors[0], aim="= 0")
+    (_, early), (_, late) = soaked.memory[1], soaked.memory[-1]
+    tell(f"resident memory at the end, after {soaked.memory[1][0]} points {early:.0f} MB", late, "MB")
     return bool(soaked.unexplained or soaked.wrong)
 
 

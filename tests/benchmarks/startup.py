@@ -11,6 +11,8 @@ import sys
 import time
 from statistics import median
 
+from tests.benchmarks.figures import tell
+
 ROUNDS = 15
 COMMANDS = (
     ("--help",),
@@ -26,7 +28,7 @@ COMMANDS = (
 def took(arguments: tuple[str, ...]) -> tuple[float, float]:
     """Seconds by the clock and of processors."""
     before, used = time.perf_counter(), os.times()
-    command = [sys.executable, "-c", "from api.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", "from api.commands.main import main; main()", *arguments]
     subprocess.run(command, capture_output=True, check=True)
     after = os.times()
     busy = after.children_user + after.children_system - used.children_user - used.children_system
@@ -34,13 +36,12 @@ def took(arguments: tuple[str, ...]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print a line for each."""
-    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
+    """Tell both for each."""
     for arguments in COMMANDS:
         took(arguments)
         clock, busy = (median(each) for each in zip(*(took(arguments) for _ in range(ROUNDS)), strict=True))
-        print(f"goniometer {' '.join(arguments):24} {clock:5.2f} s, of processors {busy:5.2f} s")
-    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
+        aim = "< 0.3" if arguments == ("--help",) else ""
+        tell(f"`goniometer {' '.join(arguments)}`", clock, f"s ({busy:.2f} s of processors)", aim)
 
 
 if __name__ == "__main__":

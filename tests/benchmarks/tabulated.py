@@ -2,6 +2,8 @@
 
 Tables of known materials, read where they have no direction: along theta_out, between incident angles, in wavelength,
 through the detector's aperture, and made of a scan. Relative errors, the largest of the wavelengths at each direction.
+
+    python -m tests.benchmarks.tabulated
 """
 
 import tempfile
@@ -14,6 +16,7 @@ from drivers.arrays import FloatArray
 from simulators.materials import DETECTOR_APERTURE, SAMPLES, true_brdf
 from simulators.tabulated import Row, Tabulated, tabulated_brdf
 from simulators.tabulated_file import read_tabulated, write_tabulated
+from tests.benchmarks.figures import tell
 from tests.drawn_dataset import drawn_dataset
 
 NM = np.array([450.0, 600.0, 750.0])
@@ -45,9 +48,14 @@ def errors(table: Tabulated, theta_in: FloatArray, theta_out: FloatArray, wavele
     return np.asarray(np.abs(found / truth - 1).max(axis=1))
 
 
+def rms(found: FloatArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(found**2)))
+
+
 def shown(found: FloatArray) -> str:
     """Root mean square, 95 % quantile and maximum in per cent."""
-    return " / ".join(f"{100 * v:6.2f}" for v in (np.sqrt(np.mean(found**2)), np.quantile(found, 0.95), found.max()))
+    return " / ".join(f"{100 * v:6.2f}" for v in (rms(found), np.quantile(found, 0.95), found.max()))
 
 
 def main() -> None:
@@ -61,8 +69,11 @@ def main() -> None:
             rows = random.choice([row.theta_in for row in table.rows], POINTS)
             between, everywhere = random.uniform(0, 80, POINTS), random.uniform(-85, 85, POINTS)
             lobe = np.clip(between + random.uniform(-2, 2, POINTS), -85, 85)
-            parts = (errors(table, *at) for at in ((rows, everywhere), (between, everywhere), (between, lobe)))
+            parts = [errors(table, *at) for at in ((rows, everywhere), (between, everywhere), (between, lobe))]
             print(f"{name}  {incident:5g} deg  {step:5g} deg  " + "  ".join(map(shown, parts)))
+            if (incident, step) == (10.0, 1.0):
+                for where, off in zip(("along theta_out", "between theta_in"), parts, strict=False):
+                    tell(f"{name}, table of 10° and 1°: rms error {where}", 100 * rms(off), "%")
     print("\nLinear in wavelength from 380 to 995 nm, aluminium, in the mirror direction at 40 deg")
     fine, at = np.arange(380.0, 995.1, 1.0), (np.array([40.0]), np.array([40.0]))
     for width in (5.0, 10.0, 20.0, 40.0):
@@ -91,6 +102,8 @@ def main() -> None:
         sector = np.abs(rows + theta_out) < 5
         told = f"{dataset.theta_in.size} points, {table.filled} directions filled"
         print(f"{name}  {told}: in the sector {shown(off[sector])}, elsewhere {shown(off[~sector])}")
+        tell(f"{name}, table of a scan: rms error in the blocked sector", 100 * rms(off[sector]), "%")
+        tell(f"{name}, table of a scan: rms error elsewhere", 100 * rms(off[~sector]), "%")
 
 
 if __name__ == "__main__":

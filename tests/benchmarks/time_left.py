@@ -19,6 +19,7 @@ from goniometer.records import Expected
 from goniometer.scheduler import run_campaign
 from goniometer.store import Store
 from simulators.materials import PANEL_CERTIFICATE
+from tests.benchmarks.figures import tell
 
 MATERIALS = ("sample-1", "sample-4", "mirror")
 CAMPAIGN = Campaign(name="Time", seed=3, samples=tuple(Sample(name=name, material=name) for name in MATERIALS))
@@ -58,6 +59,7 @@ def main() -> None:
     print(
         f"{'scan':<12}{'true, s':>8}{'points':>8}   {'preview':<24}", *(f"after {part:.0%}".ljust(24) for part in PARTS)
     )
+    compare: list[str] = []
     for foreseen, name in zip(before, ("reference", *MATERIALS), strict=True):
         mine = [(moment, progress) for moment, progress in told if progress.sample == name]
         begin, end = mine[0][0], mine[-1][0]
@@ -65,7 +67,11 @@ def main() -> None:
         for part in PARTS:
             moment, progress = min(mine, key=lambda each: abs(each[0] - begin - part * (end - begin)))
             cells.append(compared(progress.bench_remaining, end - moment))
+        compare += cells
         print(f"{name:<12}{end - begin:8.0f}{mine[-1][1].done:8d}  ", *(cell.ljust(24) for cell in cells))
+        tell(f"{name}: time of the preview over the true one", foreseen.seconds / (end - begin))
+    inside = sum(not cell.endswith("*") for cell in compare)
+    tell("foreseen times whose limits hold the truth", inside, f"of {len(compare)}")
 
 
 if __name__ == "__main__":

@@ -23,15 +23,16 @@ import numpy as np
 from sqlalchemy import event
 from typer.testing import CliRunner
 
-from api.certificates import known_certificates
-from api.cli import app
+from api.commands.main import app
 from api.datasets import find_datasets
+from api.results.certificates import known_certificates
 from api.service import active_scan
 from goniometer import look_up
 from goniometer.catalogue import Wanted
 from goniometer.dataset import Flag
 from goniometer.errors import NotInStore
 from goniometer.store import Store
+from tests.benchmarks.figures import tell
 from tests.busy_year import BEGINNING, NAMES, SAMPLES, octets, spectra_of, write_year
 from tests.served import Served, served
 
@@ -182,11 +183,13 @@ def _asked_again(service: Served, path: str, tag: str) -> None:
     assert answer.status_code == 304, (path, answer.status_code)
 
 
-def _show(name: str, taken: list[tuple[float, float]], read_whole: str = "") -> None:
+def _show(name: str, taken: list[tuple[float, float]], read_whole: str = "") -> tuple[float, float]:
+    """Print a row; returns milliseconds at the median and at 95 %."""
     whole, computed = np.array(taken).T
     median, high, worst = np.percentile(whole, [50, 95, 100])
     spent = float(np.percentile(computed, 95))
     print(f"{name:36} {median:8.1f} {high:8.1f} {worst:8.1f} {spent:9.1f}  {read_whole}", flush=True)
+    return float(median), float(high)
 
 
 class _Plans:
@@ -217,7 +220,9 @@ def sizes(file: Path, lot: _Lot, share: float) -> None:
     print(f"{'':36} {'MB':>10}")
     for name, size in sorted(found.items(), key=lambda row: -row[1])[:8]:
         print(f"{name:36} {size / 1e6:10.1f}")
-    print(f"{'the file':36} {file.stat().st_size / 1e6:10.1f}")
+    tell("datasets", datasets)
+    tell("spectra", spectra, f"with numbers in {100 * share:g} % of the campaigns")
+    tell("the file", file.stat().st_size / 1e6, "MB")
 
 
 def main(datasets: int, share: float, folder: Path) -> None:
@@ -233,12 +238,15 @@ def main(datasets: int, share: float, folder: Path) -> None:
     print(f"{'':36} {'median':>8} {'95 %':>8} {'worst':>8} {'computed':>9}")
     store = Store.open(file)
     plans = _Plans(store)
+    told = {}
     for name, ask in through_store(store, lot).items():
         ask()
         whole = plans.take()
-        _show(name, _times(ask), whole)
+        told[name] = _show(name, _times(ask), whole)
         plans.take()
     store.close()
+    slowest = max(told, key=lambda name: told[name][1])
+    tell(f"the slowest of {len(told)} questions to the Store: {slowest}, 95 %", told[slowest][1], "ms", "< 100")
     known: dict[str, str] = {}
     with served(folder, mounts_by_itself=True) as service:
         service.live.datasets.warm_up()
@@ -247,12 +255,15 @@ def main(datasets: int, share: float, folder: Path) -> None:
             def ask(path: Callable[[], str] = path) -> None:
                 _asked(service, path(), known)
 
-            _show(name, _times(ask, FEW if name.endswith("N/map") else TIMES))
+            filled = name.endswith("N/map")
+            median, high = _show(name, _times(ask, FEW if filled else TIMES))
+            because = "the first who asks waits for the fit; a service makes it of every new dataset" if filled else ""
+            tell(f"`{name}`, 95 %", high, f"ms (median {median:.1f})", "< 100", because)
         tags = iter(list(known.items())[-TIMES:])
         _show("not modified (304)", _times(lambda: _asked_again(service, *next(tags)), min(TIMES, len(known))))
         begun = time.perf_counter()
         CliRunner().invoke(app, ["status", "-d", str(file)], catch_exceptions=False)
-        print(f"goniometer status, without its start: {1000 * (time.perf_counter() - begun):.0f} ms")
+        tell("`goniometer status`, without its start", 1000 * (time.perf_counter() - begun), "ms")
 
 
 if __name__ == "__main__":

@@ -123,7 +123,7 @@ def test_a_budget_is_shown_beside_the_source_where_it_hides_the_mirror_direction
 
 
 def test_a_direction_that_was_not_measured_is_refused_and_the_nearest_is_named() -> None:
-    with pytest.raises(GeometryError, match=r"within 2 deg of theta_in = 30 deg.*nearest is theta_in = 20\.00 deg"):
+    with pytest.raises(GeometryError, match=r"within 2° of theta_in = 30°.*nearest is theta_in = 20\.00°"):
         budget(small_dataset(), 30, 20, 600)
     with pytest.raises(InputError, match="no value at 1200 nm; ask for a wavelength from 500 to 700 nm"):
         budget(small_dataset(), 20, 20, 1200)

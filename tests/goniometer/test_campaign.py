@@ -1,3 +1,5 @@
+"""A campaign file means what it says, and a mistake in it gets one line that tells where and what to do."""
+
 import hashlib
 import json
 import math

@@ -1,3 +1,5 @@
+"""What is written is there for good, and once; a resume goes on with what was begun, and with nothing else."""
+
 import errno
 import re
 import signal

@@ -1,0 +1,1 @@
+"""Who may use the service, who asks, and who did what."""

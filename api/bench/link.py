@@ -1,0 +1,245 @@
+"""The service's end of the process that drives the bench: it starts it, listens to it and asks it."""
+
+import asyncio
+import itertools
+import logging
+import multiprocessing
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import api.errors
+import drivers.errors
+import goniometer.errors
+from api.access.audit import record_done
+from api.bench.lease import pass_on_stop
+from api.bench.operated import set_point
+from api.bench.runner import Task
+from api.bench.state import Answer, BenchState, Call, Doing, Message, Snapshot, Told
+from api.bench.worker import main
+from api.errors import Conflict
+from api.events import Events
+from drivers.errors import DriverError
+from goniometer.database import Database
+from goniometer.errors import GoniometerError
+from goniometer.records import now
+
+HISTORY = 720
+"""Moments of the past that are kept."""
+HISTORY_EVERY = 5.0
+"""Seconds between two of them."""
+PATIENCE = 30.0
+"""Seconds in which the process must have parked the bench when the service ends."""
+RESTART = 2.0
+"""Seconds after which a process that ended by itself is started anew."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Past:
+    """What was read of the bench at some moment."""
+
+    moment: str
+    """ISO 8601, UTC."""
+    detector_temperature: float | None
+    """Degrees Celsius."""
+    lamp_on_for: float | None
+    """Seconds."""
+
+
+class Link:
+    """The process that drives the bench, as its service sees it."""
+
+    def __init__(self, task: Task, database: Database, events: Events) -> None:
+        self._task = task
+        self._database = database
+        self._events = events
+        self._numbers = itertools.count(1)
+        self._waiting: dict[int, tuple[Future[Any], Callable[[float, str], None]]] = {}
+        self._lock = threading.Lock()
+        self._connection: Connection | None = None
+        self._closing = False
+        self._thread: threading.Thread | None = None
+        self._past: deque[Past] = deque(maxlen=HISTORY)
+        self._past_told = -HISTORY_EVERY
+        self._unknown = _unknown(task)
+        self._state = self._unknown
+        self.shown = self._unknown.model_dump_json()
+        """`state` as JSON, made once for all who ask."""
+        self.snapshot: Snapshot | None = None
+        """The last spectrum; None where there is none yet."""
+
+    @property
+    def state(self) -> BenchState:
+        """What the bench is and does."""
+        return self._state
+
+    @property
+    def lives(self) -> bool:
+        """Whether the process has told of the bench, and has not ended since."""
+        return self._state is not self._unknown
+
+    @property
+    def past(self) -> list[Past]:
+        """What was read of the bench in the last hour, oldest first."""
+        return list(self._past)
+
+    def start(self) -> None:
+        """Start the process, and start it anew where it ends by itself."""
+        self._thread = threading.Thread(target=self._supervise, name="bench", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Let the process park the bench and end, without waiting for it; harmless when repeated."""
+        self._closing = True
+        with self._lock, suppress(OSError):  # it has ended before
+            if self._connection is not None:
+                self._connection.send(Call(0, "end", {}))
+
+    def close(self) -> None:
+        """Let the process park the bench and end, and return when it has."""
+        self.end()
+        if self._thread is not None:
+            self._thread.join()
+
+    async def call(self, name: str, **arguments: Any) -> Any:
+        """What comes of a command; raises what refused it, `Conflict` where nobody is there to obey."""
+        return await asyncio.wrap_future(self.ask(name, lambda *_: None, **arguments))
+
+    def ask(self, name: str, tell: Callable[[float, str], None], **arguments: Any) -> Future[Any]:
+        """As `call`, from any thread; `tell` is told how far it is, 0 to 1 and in words, and must return soon."""
+        number = next(self._numbers)
+        answer: Future[Any] = Future()
+        with self._lock:
+            if self._connection is None:
+                raise Conflict("The process that drives the bench is being started; try again in a moment")
+            self._waiting[number] = answer, tell
+            self._connection.send(Call(number, name, arguments))
+        return answer
+
+    async def stop(self) -> None:
+        """Stop the bench at once, whichever service drives it."""
+        driver = self.state.driver
+        if driver is not None and not driver.here:
+            await asyncio.to_thread(pass_on_stop, self._database)
+        else:
+            await self.call("stop")
+
+    def _supervise(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        while not self._closing:
+            here, there = context.Pipe()
+            task = replace(self._task, since=now())
+            process = context.Process(target=main, args=(there, task), name="goniometer bench")
+            process.start()
+            record_done(self._database, "bench", "start", {"process": process.pid})
+            there.close()
+            with self._lock:
+                self._connection = here
+            self._listen(here)
+            with self._lock:
+                self._connection = None
+                here.close()
+                forsaken, self._waiting = self._waiting, {}
+            self._tell(self._unknown)
+            for answer, _ in forsaken.values():
+                answer.set_exception(Conflict("The process that drives the bench has ended; try again in a moment"))
+            process.join(PATIENCE)
+            if process.exitcode is None:
+                log.error("The process that drives the bench does not end; it is killed")
+                process.kill()
+                process.join()
+            record_done(self._database, "bench", "end", {"process": process.pid, "code": process.exitcode})
+            if not self._closing:
+                message = f"The process that drives the bench has ended (code {process.exitcode}) and is started anew"
+                log.error(message)
+                self._events.publish("alarm", {"level": "error", "message": message, "moment": now()})
+                time.sleep(RESTART)
+
+    def _listen(self, connection: Connection) -> None:
+        """Hear the process until it ends."""
+        with suppress(EOFError, OSError):
+            while True:
+                self._hear(connection.recv())
+
+    def _hear(self, message: Message) -> None:
+        match message:
+            case BenchState():
+                self._tell(message)
+                self._remember(message)
+                self._events.publish("state", self.shown)
+            case Snapshot():
+                self.snapshot = message
+                told = {
+                    "number": message.number,
+                    "integration_time": message.integration_time,
+                    "brightest": int(message.counts.max()),
+                    "saturation": message.saturation,
+                    "shutter": message.shutter,
+                }
+                self._events.publish("spectrum", told)
+            case Told(kind, data):
+                self._events.publish(kind, data)
+            case Doing(number, share, words):
+                _, tell = self._waiting.get(number, (None, None))
+                if tell is not None:
+                    tell(share, words)
+            case Answer(number, value, refusal):
+                with self._lock:
+                    answer, _ = self._waiting.pop(number, (None, None))
+                if answer is None or answer.cancelled():
+                    return
+                if refusal is None:
+                    answer.set_result(value)
+                else:
+                    answer.set_exception(_error(*refusal))
+
+    def _tell(self, state: BenchState) -> None:
+        self._state, self.shown = state, state.model_dump_json()
+
+    def _remember(self, state: BenchState) -> None:
+        if time.monotonic() - self._past_told >= HISTORY_EVERY and state.stages:
+            self._past_told = time.monotonic()
+            self._past.append(Past(now(), state.detector_temperature, state.lamp_on_for))
+
+
+def _unknown(task: Task) -> BenchState:
+    """The state of a bench of which nobody has told anything yet."""
+    return BenchState(
+        name=task.bench,
+        phase="disconnected",
+        doing="The process that drives the bench is being started.",
+        possible=(),
+        driver=None,
+        simulated=task.settings is None,
+        stages=(),
+        theta_in=None,
+        theta_out=None,
+        detector_temperature=None,
+        cooler_set_point=set_point(task.settings),
+        lamp_on_for=None,
+        shutter="unknown",
+        integration_time=None,
+        integration_limits=None,
+        spectrum=None,
+        running=None,
+        prompt=None,
+        alarms=(),
+    )
+
+
+def _error(name: str, message: str) -> Exception:
+    """The error that the other process has raised."""
+    for module in (api.errors, goniometer.errors, drivers.errors):
+        kind = getattr(module, name, None)
+        if kind is not None and kind is not goniometer.errors.BenchUnfit:  # which is made from its lines
+            error: GoniometerError | DriverError = kind(message)
+            return error
+    return GoniometerError(message)

@@ -1,0 +1,1 @@
+"""What is made of datasets: fits, reports, verdicts, and the certificates and files of others that they need."""

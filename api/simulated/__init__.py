@@ -1,0 +1,1 @@
+"""What a simulation is told as: facts, tables and pages."""
