@@ -25,8 +25,6 @@ and q stay finite and distinct there, while v_0 means nothing and has the deriva
 and t_y. It is symmetric in the two directions, as a BRDF must be.
 """
 
-import math
-
 import numpy as np
 
 from analysis.directions import Directions
@@ -56,26 +54,6 @@ def mixed_slope(share: FloatArray, single: FloatArray | float, multiple: FloatAr
             "it must lie between 0 and 1."
         )
     return np.asarray((1 - share) * single + share * multiple)
-
-
-def share_of_multiple(
-    directions: Directions, w: float, kappa: float, sharpness: float, threshold: float = 0.0
-) -> FloatArray:
-    """Share s of multiple reflections, 0 ... 1, [...], of the two lobes described above."""
-    v, _, _ = _balance(directions, w, kappa)
-    return np.asarray(0.5 * (1 - np.tanh(np.sqrt(_checked(sharpness)) * (v - threshold))))
-
-
-def component_slopes(h: float, t_y: float, sharpness: float, threshold: float = 0.0) -> tuple[float, float]:
-    """Slopes m_1 of single and m_2 of multiple reflections, 1/um.
-
-    Raises `OutOfRange` for a `sharpness` of zero or less: the components have no slopes of their own in that limit.
-    """
-    if sharpness <= 0:
-        raise OutOfRange(f"A sharpness of {sharpness:g} leaves the components no slopes; it must be above zero.")
-    b = math.sqrt(sharpness)
-    level = math.tanh(b * threshold)
-    return t_y + h * (level + 1) / b, t_y + h * (level - 1) / b
 
 
 def two_component_slope(

@@ -51,22 +51,6 @@ class Swept:
     """Whether `values` are lower bounds, because the detector had no room for more."""
 
 
-def swept_intervals(
-    parts: Sequence[tuple[float, float]], velocity: float, integration_time: float
-) -> list[tuple[float, float]]:
-    """The intervals of theta_out that readings of `integration_time` seconds cover at `velocity` degrees/s.
-
-    `parts` are the measurable ranges of theta_out, degrees. A part's last interval ends with it.
-    """
-    step = velocity * integration_time
-    intervals = []
-    for low, high in parts:
-        count = int(np.ceil((high - low) / step - 1e-9))
-        edges = [low + step * i for i in range(count)] + [high]
-        intervals += [(edges[i], edges[i + 1]) for i in range(count)]
-    return intervals
-
-
 def averaged(
     brdf: Callable[[FloatArray, FloatArray], FloatArray], theta_in: float, interval: tuple[float, float]
 ) -> FloatArray:

@@ -157,11 +157,6 @@ def gaussian_correlation(length_um: float) -> Spectrum:
     return lambda kx, ky: np.exp(-(kx**2 + ky**2) * length_um**2 / 4)
 
 
-def exponential_correlation(length_um: float) -> Spectrum:
-    """Spectrum of an autocorrelation exp(-r / length): rough down to the pitch, it has no slope of its own."""
-    return lambda kx, ky: (1 + (kx**2 + ky**2) * length_um**2) ** -1.5
-
-
 def brushing(across_um: float, along_um: float) -> Spectrum:
     """Spectrum of an autocorrelation exp(-x^2 / along^2 - y^2 / across^2): strokes along x."""
     return lambda kx, ky: np.exp(-(kx**2 * along_um**2 + ky**2 * across_um**2) / 4)

@@ -20,13 +20,14 @@ from analysis.directions import round_aperture
 from drivers.arrays import FloatArray
 from goniometer.interpolant import predict_values
 from goniometer.plan import Measured, PlanSpec, interpolation, next_points, segments
-from goniometer.sweep import Swept, averaged, swept_intervals
+from goniometer.sweep import Swept, averaged
 from tests.benchmarks.figures import tell
+from tests.goniometer.test_sweep import intervals
 
 THETA_IN = 30.0
 SPEC = PlanSpec((THETA_IN,), tolerance=0.005, colour_tolerance=None, most_points=120)
-SWEEP = 10.0, 0.2
-"""Degrees a second of the arm, and seconds of integration, of the pre-scan."""
+SWEEP_STEP = 2.0
+"""Degrees of theta_out that a reading of the pre-scan covers."""
 SWEEP_NOISE = 0.003, 1e-4
 """Relative, and in 1/sr, of a reading of the moving detector."""
 POINT_NOISE = 0.001, 1e-5
@@ -83,7 +84,7 @@ def noise(value: FloatArray, model: tuple[float, float]) -> FloatArray:
 def sweep(case: Case, random: np.random.Generator) -> tuple[list[Swept], float]:
     """The pre-scan, and by how many standard deviations of its noise, or of 2 % of the ground, the lobe stands out."""
     readings, clearest = [], 0.0
-    for interval in swept_intervals(segments(SPEC, THETA_IN), *SWEEP):
+    for interval in intervals(segments(SPEC, THETA_IN), SWEEP_STEP):
         value = averaged(case, THETA_IN, interval)
         u = noise(value, SWEEP_NOISE)
         excess = float(np.mean(value / TINT)) - case.ground

@@ -468,7 +468,8 @@ def start_at_once(database):
     for process in processes:
         process.stdin.write("\n")
         process.stdin.flush()
-    assert [process.communicate()[1] for process in processes] == [""] * 3
+    ended = [(process.communicate()[1], process.returncode) for process in processes]
+    assert ended == [("", 0)] * 3
 
 
 def test_a_file_that_is_no_database_is_refused_in_one_line(tmp_path):

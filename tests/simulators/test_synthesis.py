@@ -9,7 +9,6 @@ from simulators.heights import autocorrelation, roughness
 from simulators.materials import SAMPLES
 from simulators.synthesis import (
     brushed,
-    exponential_correlation,
     gaussian,
     gaussian_correlation,
     sandblasted,
@@ -65,12 +64,6 @@ def test_a_gaussian_surface_has_the_rms_and_the_correlation_that_were_asked_for(
     # forward differences of exp(-r^2 / length^2) over one um, in both directions
     assert found.sdq == pytest.approx(0.8 * np.sqrt(4 * (1 - np.exp(-1 / length**2))), rel=0.02)
     assert stats.kurtosis(field.heights_um.ravel()) == pytest.approx(0, abs=0.1)
-
-
-def test_an_exponential_correlation_falls_off_as_it_says() -> None:
-    correlation = autocorrelation(gaussian(1.0, exponential_correlation(10.0), 1024, 1.0, seed=5))
-    for lag in (5, 10, 20):
-        assert correlation[512, 512 + lag] == pytest.approx(np.exp(-lag / 10), abs=0.03)
 
 
 def test_brushing_runs_along_x_with_strokes_as_long_and_wide_as_asked() -> None:
