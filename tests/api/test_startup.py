@@ -10,7 +10,19 @@ from typer.main import get_command
 from api.commands.main import app
 
 # pydantic is not among them: typer itself reads the options of a command with it
-HEAVY = ("numpy", "scipy", "lmfit", "sqlalchemy", "numba", "matplotlib", "colour", "fastapi", "distributed")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "lmfit",
+    "sqlalchemy",
+    "numba",
+    "matplotlib",
+    "colour",
+    "fastapi",
+    "distributed",
+    "asyncio",
+    "rich",
+)
 
 LOADED = f"""
 import sys
