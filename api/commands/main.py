@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -66,9 +67,18 @@ UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name
 OUTPUT = Path("results")
 
 
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"goniometer {version('goniometer')}")
+        raise typer.Exit
+
+
 @app.callback()
 def common(
     context: typer.Context,
+    _: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which version this is.")
+    ] = False,
     cluster: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://HOST:PORT, that does heavy work."),
