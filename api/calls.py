@@ -34,6 +34,7 @@ from api.views.in_plane_map import InPlaneMap
 from api.views.ladder import FitRow, Ladder
 from api.views.lineage import Lineage
 from api.views.listing import DatasetDetail, DatasetRow
+from api.views.newest import NewestBrdf
 from api.views.quality import Checks, UncertaintyBudget
 from api.views.slopes import Slopes
 from api.views.spectra import PointSpectrum
@@ -145,6 +146,11 @@ def scan(number: int) -> Call[ScanView]:
 def points(scan: int) -> Call[Page[PointView]]:
     """The points of a scan."""
     return get(f"/api/scans/{scan}/points", Page[PointView], limit=MOST)
+
+
+def newest_brdf(scan: int) -> Call[NewestBrdf]:
+    """The BRDF of the point of a scan that was measured last, provisional while the scan goes on."""
+    return get(f"/api/scans/{scan}/brdf", NewestBrdf)
 
 
 def measured_point(number: int) -> Call[PointDetail]:

@@ -28,7 +28,7 @@ from goniometer.derived import software_version
 from goniometer.drift import LampBetween, LampDrift, factor, lamp_between, lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.footprint import CLIPPED_BELOW, share_on_sample
-from goniometer.material_file import material_file
+from goniometer.material_file import MaterialFile, material_file
 from goniometer.raw import RawScan, read_raw, sample_visits
 from goniometer.response import (
     STANDARD,
@@ -305,12 +305,7 @@ def calibrate_scan(
     since = scans[reference_scan.number + 1 : number]
     between = [read_raw(store, s.id) for s in since if watched and s.outcome == "completed"]
     material = material_file(store.scan(scan_id).material)
-    if material is not None and material.content is not None:  # beyond, what lay on the simulated bench is invented
-        lowest, highest = (
-            max(settings.lowest, material.content.lowest - _BESIDE),
-            min(settings.highest, material.content.highest + _BESIDE),
-        )
-        settings = replace(settings, lowest=lowest, highest=highest)
+    settings = within_table(material, settings)
     dataset = calibrate(sample, reference, certificate, settings, between)
     spot = None
     after = scans[number + 1] if number + 1 < len(scans) else None
@@ -328,6 +323,17 @@ def calibrate_scan(
     if material is not None and material.content is not None:
         lineage |= {"material": material.path.name, "material_sha256": material.content.sha256}
     return replace(dataset, checks=found, lineage=lineage)
+
+
+def within_table(material: MaterialFile | None, settings: Settings) -> Settings:
+    """Settings for what lies on a simulated bench: beyond the wavelengths of a table it is invented."""
+    if material is None or material.content is None:
+        return settings
+    return replace(
+        settings,
+        lowest=max(settings.lowest, material.content.lowest - _BESIDE),
+        highest=min(settings.highest, material.content.highest + _BESIDE),
+    )
 
 
 def certificate_of(store: Store, campaign_id: int) -> PanelCertificate:

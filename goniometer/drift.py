@@ -82,6 +82,8 @@ def lamp_drift(raw: RawScan) -> LampDrift | None:
     sessions = [m.session for m in raw.monitors]
     runs = np.cumsum([0, *(a != b for a, b in pairwise(sessions))])
     of_point = {shot.point: shot for shot in raw.shots}  # the last shot of a point stands for all of it
+    if len(of_point) < len(raw.planned):
+        raise CalibrationError(f"A point of scan {raw.scan_id} is done but has no spectrum; measure it again")
     shots = [of_point[i] for i in range(len(raw.planned))]
     before = np.array([np.searchsorted(first_ids, shot.ids[0]) - 1 for shot in shots], dtype=np.intp)
     found = np.zeros((len(shots), 2))

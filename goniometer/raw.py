@@ -107,15 +107,20 @@ def sample_visits(raw: RawScan) -> Groups:
     return visits
 
 
-def read_raw(store: Store, scan_id: int, kinds: Collection[ExposureKind] = EXPOSURE_KINDS) -> RawScan:
+def read_raw(
+    store: Store,
+    scan_id: int,
+    kinds: Collection[ExposureKind] = EXPOSURE_KINDS,
+    only: Collection[int] | None = None,
+) -> RawScan:
     """All measured points of a scan with everything that calibrates them; raises `NotInStore` before it has begun.
 
-    Of other `kinds` of exposures there is nothing in it.
+    Of other `kinds` of exposures there is nothing in it, nor of other points than those whose ids are in `only`.
     """
     scan = store.scan(scan_id)
-    points = [p for p in store.points(scan_id) if p.status == "done"]
+    points = [p for p in store.points(scan_id) if p.status == "done" and (only is None or p.id in only)]
     number = {p.id: i for i, p in enumerate(points)}
-    exposures = store.exposures(scan_id, kinds)
+    exposures = store.exposures(scan_id, kinds, only)
     begun = datetime.date.fromisoformat((scan.started or exposures[0].taken)[:10])
     campaign = store.campaign(scan.campaign_id)
     diameters = {sample.name: sample.diameter for sample in campaign.samples}

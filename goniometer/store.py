@@ -404,10 +404,20 @@ class Store(Derived):
                 ],
             )
 
-    def exposures(self, scan_id: int, kinds: Collection[ExposureKind] = EXPOSURE_KINDS) -> list[Exposure]:
-        """All raw exposures of a scan that are of these kinds, in the order in which they were written."""
+    def exposures(
+        self,
+        scan_id: int,
+        kinds: Collection[ExposureKind] = EXPOSURE_KINDS,
+        points: Collection[int] | None = None,
+    ) -> list[Exposure]:
+        """All raw exposures of a scan that are of these kinds, in the order in which they were written.
+
+        With `points`, light of the points with these ids only.
+        """
         here = tables.exposures.c
         query = select(tables.exposures).where(here.scan_id == scan_id, here.kind.in_(kinds)).order_by(here.id)
+        if points is not None:
+            query = query.where(here.point_id.is_(None) | here.point_id.in_(points))
         return whole_exposures(self, self.rows(query))
 
     def exposure_times(self, scan_id: int, after: int = 0) -> list[ExposureTime]:

@@ -13,6 +13,7 @@ from api.events import Events
 from api.jobs.retention import KEPT, Retention
 from api.jobs.running import Jobs
 from api.settings import InstrumentSettings
+from api.views.newest import Newest
 from api.views.opened import Datasets
 from api.web.filling import fill_apart
 from goniometer.store import Store
@@ -38,6 +39,8 @@ class Live:
     """Heavy work in processes of its own."""
     datasets: Datasets
     """Datasets as they are looked at."""
+    newest: Newest
+    """What was measured last, calibrated for those who look on."""
     callers: Callers
     """Who asks for something."""
     files: Path
@@ -69,7 +72,19 @@ def open_live(
     jobs = Jobs(store, database, output, events, cluster, worker, kept)
     datasets = Datasets(store, output / "cache", partial(fill_apart, database))
     try:
-        yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())
+        yield Live(
+            store,
+            database,
+            settings,
+            events,
+            worker,
+            output,
+            jobs,
+            datasets,
+            Newest(store),
+            Callers(store),
+            Path.cwd(),
+        )
     finally:
         jobs.close()
         events.close()

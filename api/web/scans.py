@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
+from api.views.newest import NewestBrdf
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.context import Here, Number
@@ -113,6 +114,16 @@ async def points(
 ) -> Response:
     """The points of a scan, in the order in which the plan asked for them."""
     return await answers.of(request, lambda: _points(live, number, after, limit))
+
+
+@router.get("/scans/{number}/brdf")
+def newest_brdf(live: Here, caller: Viewer, number: Number) -> NewestBrdf:
+    """The BRDF of the point that was measured last, provisional: the scan is not complete yet.
+
+    It is calibrated as the scan will be, by what was measured so far. It is refused where nothing was, and for the
+    scan of the reference panel.
+    """
+    return live.newest.of(number)
 
 
 @router.get("/points/{number}")

@@ -21,7 +21,7 @@ from simulators.ensemble import cells
 from simulators.stability import Estimate, Job, Run
 from tests.api.browser import Looker, looker, needs_chromium
 from tests.drawn_dataset import drawn_dataset
-from tests.served import Served, served
+from tests.served import TINY, Served, served
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
@@ -128,6 +128,34 @@ def test_a_mark_of_the_trade_off_becomes_a_campaign_a_fit_or_a_text_to_copy(serv
     expect(page.get_by_text("goniometer simulate rays")).to_be_visible()
     page.keyboard.press("Escape")
     expect(page.get_by_text("goniometer simulate rays")).to_be_hidden()
+
+
+def test_what_waits_is_put_into_another_order_by_dragging_and_by_the_keyboard(service: Served, looking: Looker) -> None:
+    page = looking.page
+    for name in ("First", "Second", "Third"):
+        assert service.client.post("/api/queue", json={"campaign": TINY | {"name": name}}).is_success
+    page.goto(f"{service.url}/queue")
+    cards = page.get_by_role("region", name="Campaigns to be measured").get_by_role("listitem")
+
+    def order(*names: str) -> None:
+        expect(cards.locator(".name")).to_have_text(names)
+        waiting = service.client.get("/api/queue").json()["items"]
+        assert [entry["campaign"] for entry in waiting] == [*names]
+
+    order("First", "Second", "Third")
+    cards.nth(2).drag_to(cards.nth(0))
+    order("Third", "First", "Second")
+    cards.nth(0).drag_to(cards.nth(1))
+    order("First", "Third", "Second")
+    up = page.get_by_role("button", name="Move Second up")
+    up.focus()
+    page.keyboard.press("Enter")
+    order("First", "Second", "Third")
+    expect(up).to_be_focused()
+    page.keyboard.press("Enter")
+    order("Second", "First", "Third")
+    expect(page.get_by_text("Second is number 1 of 3 now.")).to_be_attached()
+    expect(page.get_by_role("button", name="Move Second down")).to_be_focused()
 
 
 def test_a_cell_of_the_stability_map_opens_the_runs_behind_it(service: Served, looking: Looker) -> None:

@@ -1,0 +1,73 @@
+"""The BRDF of the point that was measured last, while its scan goes on: found rarely, however many look on."""
+
+import threading
+import time
+
+from pydantic import Field
+
+from analysis.noise import flag_words
+from api.views.body import Body, Number, numbers
+from goniometer.provisional import newest_brdf
+from goniometer.store import Store
+from goniometer.uncertainty import PARTS
+
+EVERY = 1.0
+"""Seconds for which an answer holds; to find one takes some 0.08 s of a processor that the bench may want."""
+
+
+class NewestBrdf(Body):
+    """The BRDF of the point of a scan that was measured last, before its scan is complete."""
+
+    scan: int
+    sample: str = Field(description="Name of the scan.")
+    point: int = Field(description="Id of the measured point.")
+    theta_in_deg: float = Field(description="As read back.")
+    theta_out_deg: float = Field(description="As read back.")
+    wavelengths_nm: list[float]
+    brdf: list[Number] = Field(description="[wavelengths] 1/sr; null where there is no value.")
+    u: list[Number] = Field(description="[wavelengths] combined standard uncertainty (k = 1) of all `parts`, 1/sr.")
+    parts: list[str] = Field(description="Of the budget, that are in `u`.", examples=[["random", "dark", "reference"]])
+    neighbours: int = Field(
+        description="Points beside it from which the slope comes by which errors of the angles count; 0: without them."
+    )
+    flag_words: str = Field(description="What is doubtful about the point; empty where nothing is.")
+
+
+class Newest:
+    """Answers about scans that go on, each made at most once in `EVERY` for all who ask."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._lock = threading.Lock()
+        self._made: tuple[float, NewestBrdf] | None = None
+
+    def of(self, scan_id: int) -> NewestBrdf:
+        """The newest point of a scan, or what was the newest `EVERY` ago; raises what `newest_brdf` raises."""
+        with self._lock:  # who asks meanwhile is served with the same
+            if self._made is not None:
+                moment, made = self._made
+                if made.scan == scan_id and time.monotonic() - moment < EVERY:
+                    return made
+            found = newest_view(self._store, scan_id)
+            self._made = time.monotonic(), found
+            return found
+
+
+def newest_view(store: Store, scan_id: int) -> NewestBrdf:
+    """The newest point of a scan as it is shown; raises what `newest_brdf` raises."""
+    newest = newest_brdf(store, scan_id)
+    dataset = newest.dataset
+    present = {source.part for source in dataset.sources}
+    return NewestBrdf(
+        scan=scan_id,
+        sample=dataset.sample,
+        point=newest.point.id,
+        theta_in_deg=float(dataset.theta_in[0]),
+        theta_out_deg=float(dataset.theta_out[0]),
+        wavelengths_nm=dataset.wavelengths.tolist(),
+        brdf=numbers(dataset.brdf[0]),
+        u=numbers(dataset.u[0]),
+        parts=[part for part in PARTS if part in present],
+        neighbours=newest.neighbours,
+        flag_words=flag_words(int(dataset.flags[0])),
+    )
