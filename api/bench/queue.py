@@ -9,6 +9,7 @@ Nothing moves after a restart or a stop before somebody has looked: whatever was
 the reason. Every bench has a queue of its own; a handle of the database sees that of its bench.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -19,10 +20,13 @@ from api.errors import Conflict
 from goniometer.campaign import Campaign
 from goniometer.database import Database, insert_row
 from goniometer.errors import NotInStore
-from goniometer.records import Outcome, now
+from goniometer.records import Outcome, Scan, now
 from goniometer.service_tables import queue as table
+from goniometer.store import Store
 
 EntryPhase = Literal["idle", "queued", "running", "finished"]
+
+FITS_ABORTED = "Its fits were aborted; what was measured is kept, and starting it again makes them."
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,23 @@ def finish_entry(database: Database, entry_id: int, outcome: Outcome, reason: st
             .where(table.c.id == entry_id, table.c.phase == "running")
             .values(phase="finished", outcome=outcome, reason=reason, finished=now(), position=0)
         )
+
+
+def is_fitting(entry: Entry, scans: Sequence[Scan]) -> bool:
+    """Whether all of an entry is measured, which has these scans, and its fits are being made."""
+    return entry.phase == "running" and bool(scans) and all(scan.outcome == "completed" for scan in scans)
+
+
+def fitting_entries(store: Store, bench: str | None = None) -> list[Entry]:
+    """Entries whose fits are being made now, of one bench or of all, those first that were ordered first."""
+    query = select(table).where(table.c.phase == "running", table.c.campaign_id.is_not(None)).order_by(table.c.id)
+    found = [entry for entry in map(_entry, store.rows(query)) if bench in {None, entry.bench}]
+    return [entry for entry in found if is_fitting(entry, store.scans(entry.campaign_id)) and store.in_use(entry.bench)]
+
+
+def abort_fits(database: Database, entry_id: int) -> None:
+    """End an entry whose fits are being made; whoever makes them sees it in the database, and stops."""
+    finish_entry(database, entry_id, "aborted", FITS_ABORTED)
 
 
 def hold(database: Database, reason: str, since: str | None = None) -> None:

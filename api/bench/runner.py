@@ -3,10 +3,11 @@
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import AsyncExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from analysis.errors import AnalysisError
 from api.bench import queue
@@ -20,13 +21,15 @@ from api.results.fitting import Fits, fitting
 from api.service import measure, mounting
 from api.settings import InstrumentSettings
 from drivers.errors import DriverError
-from goniometer.errors import CampaignError, GoniometerError, RunAborted, StoreError
+from goniometer.errors import CampaignError, GoniometerError, NotInStore, RunAborted, StoreError
 from goniometer.progress import Progress
 from goniometer.records import Outcome, Scan, now
 from goniometer.store import Store
 
 REPORT_EVERY = 0.1
 """Seconds between two reports of progress; a simulated bench would make more of them than anybody reads."""
+LOOK_AT_FITS = 0.5
+"""Seconds between two looks whether somebody has aborted fits that are made."""
 PATIENCE_WITH_DISK = 5.0
 """Seconds until a database that refused is tried again."""
 
@@ -79,6 +82,9 @@ class Runner:
 
     async def run(self, entry: queue.Entry) -> None:
         """Run an entry of the queue and put down how it ended."""
+        if (before := self.fitting.get(entry.id)) is not None:  # aborted and started again at once
+            before.cancel()
+            await asyncio.wait({before})
         self.entry = entry
         self.tell_queue()
         campaign = entry.campaign
@@ -115,13 +121,18 @@ class Runner:
             self.tell_queue()
 
     async def _fit(self, entry: queue.Entry, fits: Fits, held: AsyncExitStack) -> None:
-        """Wait for the fits of an entry that is measured, and put down how it ended; the bench is free meanwhile."""
+        """Wait for the fits of an entry that is measured, and put down how it ended; the bench is free meanwhile.
+
+        An entry that is not running any more in the database was aborted: its fits are stopped.
+        """
         try:
             outcome: Outcome
             try:
                 async with held:
-                    await fits.kept(self._note)
+                    await self._unless_ended(entry, fits.kept(self._note))
                 outcome, reason = "failed" if fits.broken else "completed", " ".join(fits.failures)
+            except RunAborted:  # how it ended is written down already
+                return
             except (GoniometerError, OSError) as error:
                 log.error("%s: %s", entry.name, error)
                 outcome, reason = "failed", str(error)
@@ -135,6 +146,27 @@ class Runner:
         finally:
             del self.fitting[entry.id]
             self.tell_queue()
+
+    async def _unless_ended(self, entry: queue.Entry, work: Coroutine[Any, Any, None]) -> None:
+        """Do `work` as long as the entry is running; raises `RunAborted` where it has been ended."""
+        making = asyncio.ensure_future(work)
+        try:
+            while not making.done():
+                await asyncio.wait({making}, timeout=LOOK_AT_FITS)
+                if not making.done() and self._has_ended(entry):
+                    raise RunAborted(queue.FITS_ABORTED)
+        finally:
+            making.cancel()
+        making.result()
+
+    def _has_ended(self, entry: queue.Entry) -> bool:
+        """Whether somebody has ended an entry, or forgotten it since."""
+        try:
+            return queue.entry(self._store, entry.id).phase != "running"
+        except NotInStore:
+            return True
+        except StoreError:  # it is asked again
+            return False
 
     async def leave(self) -> None:
         """Let go of all fits; they are made when their entries are started again."""

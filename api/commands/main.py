@@ -316,10 +316,23 @@ _OBEYED: dict[Command, str] = {
 
 def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
     def command(database: DatabaseFile = DATABASE, bench: BenchName = None, as_json: AsJson = False) -> None:
+        from api.bench import queue
         from api.service import active_scan
+        from goniometer.errors import NotInStore
 
         store = existing(database)
-        scan = active_scan(store, bench)
+        try:
+            scan = active_scan(store, bench)
+        except NotInStore:
+            fitting = queue.fitting_entries(store, bench) if verb == "abort" else []
+            if not fitting:
+                raise
+            queue.abort_fits(store, fitting[0].id)
+            if as_json:
+                emit({"entry": fitting[0].id, "campaign": fitting[0].name, "requested": verb})
+            else:
+                Terminal().print(f"{fitting[0].name}: {queue.FITS_ABORTED}", markup=False, highlight=False)
+            return
         store.request(scan.id, verb)
         if as_json:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})
@@ -327,7 +340,9 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
             told = f"Asked the scan of {called(scan.name, scan.kind)} to {verb}; it obeys {_OBEYED[verb]}."
             stdout().print(told, markup=False, highlight=False)
 
-    command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
+    command.__doc__ = f"{verb.capitalize()} the scan that is running on the database." + (
+        " Where all is measured, the fits of the service's queue." if verb == "abort" else ""
+    )
     return command
 
 

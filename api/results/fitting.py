@@ -14,7 +14,7 @@ from api.datasets import make_dataset, too_noisy
 from api.errors import ClusterError
 from api.executor import processes
 from api.results.derive import REPORT, Derived, Export, derive, slug, write_derived
-from goniometer.errors import CalibrationError, CertificateError, StoreFull
+from goniometer.errors import CalibrationError, CertificateError, GoniometerError, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.lineage import own_datasets
 from goniometer.plan import plan_spec, uniform_grid_size
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 class Fits:
     """The fits of a campaign; `fitting` makes one."""
 
-    def __init__(self, store: Store, output: Path, executor: Executor, writer: Executor) -> None:
+    def __init__(self, store: Store, output: Path, executor: Executor, writer: Executor, calibrator: Executor) -> None:
         self.failures: list[str] = []
         """Why samples that were measured have no fits, as sentences."""
         self.broken = False
@@ -36,16 +36,22 @@ class Fits:
         self._output = output
         self._executor = executor
         self._writer = writer
+        self._calibrator = calibrator
         self._waiting: dict[int, Future[tuple[Derived, tuple[Export, ...]]]] = {}
 
     def begin(self, scan: Scan) -> None:
-        """Calibrate a scan that is complete, and start its fits; one that cannot be calibrated is a failure."""
-        try:
-            made = make_dataset(self._store, scan.id)
-        except (CalibrationError, CertificateError) as error:
-            self.failures.append(f"{scan.name}: {error}")
-            return
-        self._start(made, scan)
+        """Calibrate a scan that is complete, and start its fits; one that cannot be calibrated is a failure.
+
+        Raises what the database raises; a fault of the program is a failure of this scan, too, and ends nothing else.
+        """
+        calibrated = self._calibrator.submit(make_dataset, self._store, scan.id)
+        fault = calibrated.exception()
+        if fault is None:
+            self._start(calibrated.result(), scan)
+        elif isinstance(fault, GoniometerError) and not isinstance(fault, CalibrationError | CertificateError):
+            raise fault
+        else:
+            self.failures.append(f"{scan.name}: {self._told(fault, 'calibrating it')}")
 
     def catch_up(self, campaign_id: int) -> None:
         """Start the fits that scans of a campaign lack, whatever kept them from being made."""
@@ -64,7 +70,10 @@ class Fits:
             if not future.done():
                 note(f"Fitting {measured}")
             ended = asyncio.wrap_future(future)
-            await asyncio.wait({ended})
+            try:
+                await asyncio.wait({ended})
+            finally:
+                ended.cancel()  # what nobody waits for any more tells nobody how it ended
             fault = ended.exception()
             try:
                 if fault is None:
@@ -72,22 +81,22 @@ class Fits:
             except StoreFull as error:
                 fault = error
             if fault is not None:
-                self.failures.append(f"{measured}: {self._told(fault)}")
+                self.failures.append(f"{measured}: {self._told(fault, 'making its fits')}")
 
     def _start(self, dataset_id: int, scan: Scan) -> None:
         fitted = self._executor.submit(derive, self._store.dataset(dataset_id), run_facts(self._store, scan))
         folder = (self._output / slug(scan.name)).resolve()
         self._waiting[dataset_id] = self._writer.submit(_written, fitted, folder)
 
-    def _told(self, fault: BaseException) -> str:
-        """What a person is told of it."""
-        if isinstance(fault, AnalysisError | StoreFull | ClusterError):
+    def _told(self, fault: BaseException, doing: str) -> str:
+        """What a person is told of a fault that was met while `doing` something."""
+        if isinstance(fault, AnalysisError | CalibrationError | CertificateError | StoreFull | ClusterError):
             return str(fault)
         self.broken = True
         if isinstance(fault, BrokenProcessPool):
             return "the process that fits it was ended from outside; run the campaign again."
-        log.error("Fits could not be made", exc_info=fault)
-        return f"making its fits met a fault of the program ({type(fault).__name__}: {fault}); the log says where."
+        log.error("A fault of the program was met while %s", doing, exc_info=fault)
+        return f"{doing} met a fault of the program ({type(fault).__name__}: {fault}); the log says where."
 
 
 @asynccontextmanager
@@ -95,13 +104,19 @@ async def fitting(store: Store, output: Path, cluster: str | None) -> AsyncItera
     """The fits of a campaign whose files go into a folder a scan below `output`.
 
     They are made in a process of their own, or on the Dask scheduler `cluster`. What has not been fitted and written
-    when something goes wrong is made in the next run. Raises what `api.cluster.connected` raises.
+    when something goes wrong, or when the task that waits for it is cancelled, is made in the next run. Raises what
+    `api.cluster.connected` raises.
     """
     with ExitStack() as held:
-        writer = held.enter_context(ThreadPoolExecutor(1))
+        writer, calibrator = (held.enter_context(ThreadPoolExecutor(1)) for _ in range(2))
         executor = await asyncio.to_thread(held.enter_context, processes(cluster, 1))
-        yield Fits(store, output, executor, writer)
-        await asyncio.to_thread(held.pop_all().close)  # a scan may be under way, and a process takes time to end
+        # a scan may be under way, and a process takes time to end
+        try:
+            yield Fits(store, output, executor, writer, calibrator)
+        except BaseException as error:
+            await asyncio.to_thread(held.pop_all().__exit__, type(error), error, error.__traceback__)
+            raise
+        await asyncio.to_thread(held.pop_all().close)
 
 
 def keep(store: Store, dataset_id: int, derived: Derived, exports: tuple[Export, ...]) -> None:

@@ -119,9 +119,16 @@ def resume(live: Here, caller: Operator, number: Number) -> EntryView:
 
 @router.post("/{number}/abort")
 def abort(live: Here, caller: Operator, number: Number) -> EntryView:
-    """End a running entry at once, with all that is measured kept; one that is queued waits to be started again."""
-    if queue.entry(live.store, number).phase == "queued":
+    """End a running entry at once, with all that is measured kept; one that is queued waits to be started again.
+
+    Of an entry that is "fitting" the fits are stopped; the datasets stay, and starting it again makes the fits.
+    """
+    wanted = queue.entry(live.store, number)
+    if wanted.phase == "queued":
         return _changed(live, queue.unqueue(live.store, number))
+    if wanted.campaign_id is not None and queue.is_fitting(wanted, live.store.scans(wanted.campaign_id)):
+        queue.abort_fits(live.store, number)
+        return _changed(live, queue.entry(live.store, number))
     return _request(live, number, "abort")
 
 

@@ -106,8 +106,7 @@ def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:
 
 def _phase(entry: queue.Entry, scans: list[Scan], active: Scan | None) -> EntryPhase:
     if active is None:
-        measured = bool(scans) and all(scan.outcome == "completed" for scan in scans)
-        return "fitting" if entry.phase == "running" and measured else entry.phase
+        return "fitting" if queue.is_fitting(entry, scans) else entry.phase
     match active.phase:
         case "pausing" | "paused" | "aborting":
             return active.phase

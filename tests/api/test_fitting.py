@@ -4,19 +4,25 @@ import asyncio
 import operator
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from api.access.accounts import add_user
+from api.access.tokens import create_token
 from api.bench import queue
 from api.bench.operated import OperatedBench
 from api.bench.runner import Runner, Task
 from api.bench.state import Told
+from api.commands.main import app
 from api.results import fitting
 from api.results.fitting import Fits
 from api.web.live import open_live
 from api.web.queue_view import entry_view
 from goniometer.campaign import Campaign
 from goniometer.store import Store
+from tests.api.service_client import Client
 from tests.served import TINY
 
 
@@ -40,26 +46,28 @@ def runner_on(store: Store, tmp_path: Path, told: list[Told]) -> tuple[Runner, O
     return Runner(store, bench, task, told.append, lambda: None), bench
 
 
-def test_a_fault_of_the_program_in_a_fit_ends_the_entry_with_its_reason_and_not_the_process_of_the_bench(
+def test_a_fault_of_the_program_in_a_calibration_or_a_fit_ends_the_entry_with_its_reason_and_not_the_bench(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def go() -> None:
         runner, bench = runner_on(store, tmp_path, [])
         with store.exclusive():
             entry = next_entry(store, "Tiny")
-            with monkeypatch.context() as broken:
-                broken.setattr(fitting, "derive", operator.truediv)  # a TypeError in the process that fits
-                await runner.run(entry)
-                await asyncio.wait(runner.fitting.values())
-            assert bench.phase == "ready"
-            ended = queue.entry(store, entry.id)
-            assert (ended.phase, ended.outcome) == ("finished", "failed")
-            assert "Sample 1" in ended.reason
-            assert "TypeError" in ended.reason
-            queue.start_entry(store, entry.id)
-            again = queue.next_entry(store)
-            assert again is not None
-            await runner.run(again)
+            for name in ("make_dataset", "derive"):
+                with monkeypatch.context() as broken:
+                    broken.setattr(fitting, name, operator.truediv)  # a TypeError wherever it is called
+                    await runner.run(entry)
+                    await asyncio.wait(runner.fitting.values())
+                assert bench.phase == "ready"
+                ended = queue.entry(store, entry.id)
+                assert (ended.phase, ended.outcome) == ("finished", "failed")
+                assert "Sample 1" in ended.reason
+                assert "TypeError" in ended.reason
+                queue.start_entry(store, entry.id)
+                again = queue.next_entry(store)
+                assert again is not None
+                entry = again
+            await runner.run(entry)
             await asyncio.wait(runner.fitting.values())
             ended = queue.entry(store, entry.id)
             assert (ended.outcome, ended.reason) == ("completed", "")
@@ -100,7 +108,23 @@ def test_the_next_campaign_is_measured_while_the_fits_of_the_one_before_are_made
     asyncio.run(go())
 
 
-def test_fits_that_are_let_go_of_leave_the_entry_to_be_started_again(store: Store, tmp_path: Path) -> None:
+def test_fits_that_are_let_go_of_or_aborted_leave_the_dataset_and_the_entry_to_be_started_again(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    database = tmp_path / "bench.db"
+
+    def abort_over_rest(number: int) -> dict[str, Any]:
+        with open_live(database, tmp_path / "results") as live:
+            add_user(live.store, "anna", "operator", None)
+            client = Client(live)
+            client.headers["Authorization"] = f"Bearer {create_token(live.store, 'anna', 'test')[0]}"
+            assert client.get(f"/api/queue/{number}").json()["phase"] == "fitting"
+            found: dict[str, Any] = client.post(f"/api/queue/{number}/abort").json()
+            return found
+
+    async def never(_: Fits, __: Callable[[str], None]) -> None:
+        await asyncio.Event().wait()
+
     async def go() -> None:
         runner, bench = runner_on(store, tmp_path, [])
         with store.exclusive():
@@ -110,6 +134,29 @@ def test_fits_that_are_let_go_of_leave_the_entry_to_be_started_again(store: Stor
             assert not runner.fitting
             queue.interrupt(store, "The service has ended.")
             assert queue.entry(store, entry.id).phase == "idle"
+
+            async def again() -> None:
+                queue.start_entry(store, entry.id)
+                started = queue.next_entry(store)
+                assert started is not None
+                await runner.run(started)
+
+            with monkeypatch.context() as slow:
+                slow.setattr(Fits, "kept", never)
+                await again()
+                seen = await asyncio.to_thread(abort_over_rest, entry.id)
+                assert (seen["phase"], seen["outcome"]) == ("finished", "aborted")
+                assert "starting it again makes them" in seen["reason"]
+                await asyncio.wait(runner.fitting.values())
+                assert bench.phase == "ready"
+
+                await again()
+                said = await asyncio.to_thread(CliRunner().invoke, app, ["abort", "--database", str(database)])
+                assert said.exit_code == 0, said.output
+                await asyncio.wait(runner.fitting.values())
+                assert queue.entry(store, entry.id).outcome == "aborted"
+            assert store.fits(1) == []
             await bench.park()
 
     asyncio.run(go())
+    assert [len(store.datasets(scan.id)) for scan in store.scans()] == [0, 1]
