@@ -331,7 +331,7 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
             if as_json:
                 emit({"entry": fitting[0].id, "campaign": fitting[0].name, "requested": verb})
             else:
-                Terminal().print(f"{fitting[0].name}: {queue.FITS_ABORTED}", markup=False, highlight=False)
+                stdout().print(f"{fitting[0].name}: {queue.FITS_ABORTED}", markup=False, highlight=False)
             return
         store.request(scan.id, verb)
         if as_json:
@@ -340,9 +340,8 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
             told = f"Asked the scan of {called(scan.name, scan.kind)} to {verb}; it obeys {_OBEYED[verb]}."
             stdout().print(told, markup=False, highlight=False)
 
-    command.__doc__ = f"{verb.capitalize()} the scan that is running on the database." + (
-        " Where all is measured, the fits of the service's queue." if verb == "abort" else ""
-    )
+    otherwise = "; where none is, the fits of a campaign that the service has measured" if verb == "abort" else ""
+    command.__doc__ = f"{verb.capitalize()} the scan that is running on the database{otherwise}."
     return command
 
 
