@@ -36,7 +36,7 @@ STAGES = (("smc100", "oriental-az"), ("owis", "k10cr1"))
 """Families of the stages of one campaign and of the next."""
 MATERIALS = ("sample-1", "sample-4")
 INCIDENT = (10.0, 25.0, 40.0, 55.0)
-EVERY = 500
+EVERY = 250
 """Points between two looks at the memory."""
 RUNS = 1000
 """How often the operator starts a campaign at most."""
