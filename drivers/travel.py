@@ -1,4 +1,4 @@
-"""What all rotation stages do alike: refuse an angle out of limits, wait for a motion to end."""
+"""Refusing an angle out of limits, how long a motion takes, and waiting for it to end: for all rotation stages."""
 
 import math
 from collections.abc import Awaitable, Callable
