@@ -7,21 +7,30 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed-from
 WANTED := $(shell cat requirements.lock pyproject.toml 2>/dev/null | cksum)
 
-.PHONY: demo test check ui lock clean $(VENV)
+.PHONY: demo test check types style floors secrets ui lock clean $(VENV)
 
 demo: $(VENV)
 	$(BIN)/goniometer demo
 
 # Three workers keep two cores busy, for tests of devices that do not answer wait in real time.
 test: $(VENV)
-	@$(MAKE) --no-print-directory check
+	@$(MAKE) --no-print-directory -j 2 check
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-check: $(VENV)
+# Goals of their own, so that two cores can share them.
+check: style types floors secrets
+
+style: $(VENV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)
 	$(BIN)/mypy
+
+floors: $(VENV)
 	$(BIN)/lint-imports
+
+secrets: $(VENV)
 	$(BIN)/bandit -q -c pyproject.toml -r drivers goniometer analysis simulators api
 
 # Builds the pages of the service into api/static; only who changes them needs Node.

@@ -230,8 +230,7 @@ def budget_table(found: Budget) -> str:
         f'<div class="wide"><table><thead><tr><th>source of error</th>{head}<th>the same for</th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody><caption>{_direction(found.theta_in, found.theta_out)}, "
         f"{found.wavelength:.1f} nm: f = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded uncertainty "
-        f"± {uncertainty(found.expanded)} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE}). The sign of a source says which "
-        f"way its error moves this value.</caption></table></div>"
+        f"± {uncertainty(found.expanded)} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE}).</caption></table></div>"
     )
 
 
@@ -247,6 +246,6 @@ def share_in_words(share: float) -> str:
 
 def _row(name: str, u: float, relative: float, share: float | None, shared: str) -> str:
     of_variance = "" if share is None else escape(share_in_words(share))
-    numbers = (f"{u:.2g}".replace("-", "−"), escape(relative_in_words(relative)), of_variance)
+    numbers = (uncertainty(abs(u)), escape(relative_in_words(relative)), of_variance)
     cells = "".join(f'<td class="number">{number}</td>' for number in numbers)
     return f'<tr><td>{name}</td>{cells}<td class="soft">{shared}</td></tr>'

@@ -218,7 +218,7 @@ def _error_table(analysis: SampleAnalysis) -> str:
     head = "".join(f'<th class="number">{part}</th>' for part in parts)
     return (
         "<h3>What the parameters' uncertainty is made of</h3>"
-        f'<div class="wide"><table><thead><tr><th>model</th><th>parameter</th>{head}</tr></thead>'
+        f'<div class="wide"><table class="dense"><thead><tr><th>model</th><th>parameter</th>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody>"
         "<caption>Standard uncertainty (coverage factor 1) that each part of the budget gives to a parameter, in the "
         "parameter's unit; the root of the sum of their squares stands in brackets above. Bold: the largest; –: below "

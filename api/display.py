@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, TaskID, TextColumn
-from rich.progress import Progress as Bars
-
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import TaskID
+
     from goniometer.progress import Progress
     from goniometer.records import Expected, Kind
 
@@ -73,6 +72,9 @@ def progress_display(console: Console) -> Iterator[tuple[Show, Note]]:
 
 @contextmanager
 def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bars
+
     columns = (
         TextColumn("{task.description:<22}", markup=False),
         BarColumn(bar_width=24),

@@ -2,49 +2,41 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import signal
 import sys
 import threading
 from collections.abc import Coroutine
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
-
-from rich.console import Console
-from rich.text import Text
 
 from api.mount_request import mount_request
 from goniometer.errors import RunAborted
 
 if TYPE_CHECKING:
+    from api.inert_console import InertConsole
     from goniometer.records import Scan
 
 Result = TypeVar("Result")
 
-LONGEST_LINE = 10_000
-"""Characters of a line that goes to no terminal."""
+
+class Stopped(BaseException):
+    """A signal has ended the work."""
 
 
-class Terminal(Console):
-    """What is printed on a terminal, which nothing that comes from a file or another person can command.
+def stdout() -> InertConsole:
+    """For results."""
+    from api.inert_console import InertConsole
 
-    In a log or a pipe a sentence stays one line, so that it can be searched for.
-    """
-
-    def __init__(self, **how: Any) -> None:
-        super().__init__(**how)
-        if not self.is_terminal:
-            self.width = LONGEST_LINE
-
-    def render_str(self, text: str, **how: Any) -> Text:
-        """A text as it is shown, also that of a cell of a table."""
-        from goniometer.wording import inert
-
-        return super().render_str(inert(text), **how)
+    return InertConsole()
 
 
-screen = Terminal(stderr=True)
-"""For progress and messages; results go to stdout."""
+@cache
+def stderr() -> InertConsole:
+    """For progress and messages."""
+    from api.inert_console import InertConsole
+
+    return InertConsole(stderr=True)
 
 
 async def ask_to_mount(scan: Scan) -> None:
@@ -57,10 +49,12 @@ async def ask_to_mount(scan: Scan) -> None:
 
 async def confirm(state: str, request: str) -> None:
     """Print `request` and return when Enter is pressed; `RunAborted` without a terminal, as nobody confirms `state`."""
+    import asyncio
+
     if sys.stdin is None or not sys.stdin.isatty():
         raise RunAborted(f"Nobody can confirm that {state}, as there is no terminal; run this from one.")
     _forget_typed_ahead()
-    screen.print(request, markup=False, highlight=False)
+    stderr().print(request, markup=False, highlight=False)
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[str] = loop.create_future()
 
@@ -95,7 +89,8 @@ def _forget_typed_ahead() -> None:
 
 
 def wait(work: Coroutine[Any, Any, Result]) -> Result:
-    """Do `work`; the signals that end a process end it properly, with the bench made safe."""
+    """Do `work`; the signals that end a process end it properly, with the bench made safe, and raise `Stopped`."""
+    import asyncio
 
     async def guarded() -> Result:
         task = asyncio.current_task()
@@ -105,4 +100,7 @@ def wait(work: Coroutine[Any, Any, Result]) -> Result:
                 asyncio.get_running_loop().add_signal_handler(getattr(signal, name), task.cancel)
         return await work
 
-    return asyncio.run(guarded())
+    try:
+        return asyncio.run(guarded())
+    except asyncio.CancelledError:
+        raise Stopped from None

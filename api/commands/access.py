@@ -6,17 +6,16 @@ from datetime import timedelta
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from api.choices import FIRST_USER, Role
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.errors import InputError
 
-user_app = typer.Typer(help="Who may use the service.")
-token_app = typer.Typer(help="Tokens, with which scripts use the service in somebody's name.")
-log_app = typer.Typer(help="Who did what.")
+user_app = typer.Typer(help="Who may use the service.", rich_markup_mode=None)
+token_app = typer.Typer(help="Tokens, with which scripts use the service in somebody's name.", rich_markup_mode=None)
+log_app = typer.Typer(help="Who did what.", rich_markup_mode=None)
 Name = Annotated[str, typer.Argument(help="Name of the user.", show_default=False)]
 
 
@@ -130,7 +129,7 @@ def create(
     if as_json:
         emit(asdict(made) | {"token": text})
     else:
-        Terminal().print(text, markup=False, highlight=False, soft_wrap=True)
+        stdout().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 @token_app.command(name="list")
@@ -169,7 +168,7 @@ def show(
     if as_json:
         emit({"log": rows})
         return
-    out = Terminal()
+    out = stdout()
     for row in rows:
         line = f"{row['sequence']} {row['time']} {row['who']} ({row['via']}) {row['action']} {row['about']}"
         # an address that somebody asked for may hold the end of a line
@@ -185,7 +184,7 @@ def head(database: DatabaseFile = DATABASE, as_json: AsJson = False) -> None:
     if as_json:
         emit({"head": last})
     else:
-        Terminal().print(last, highlight=False)
+        stdout().print(last, highlight=False)
 
 
 @log_app.command()
@@ -222,14 +221,16 @@ def _tell(found: dict[str, Any], line: str, *, as_json: bool) -> None:
     if as_json:
         emit(found)
     else:
-        Terminal().print(line, markup=False, highlight=False, soft_wrap=True)
+        stdout().print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _tell_table(name: str, rows: list[dict[str, Any]], *, as_json: bool) -> None:
+    from rich.table import Table
+
     if as_json:
         emit({name: rows})
         return
     table = Table(*(rows[0] if rows else ()))
     for row in rows:
         table.add_row(*("" if value is None else str(value) for value in row.values()))
-    Terminal().print(table)
+    stdout().print(table)

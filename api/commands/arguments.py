@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.terminal import screen
+from api.terminal import stderr
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def chosen_dataset(store: Store, name: str) -> int:
         sample, own = dataset_names(store, newest)
         meant = own if name.lower() == own.lower() else sample
         told = f"{meant} has datasets {known}; taking {newest}, name a number"
-        screen.print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)
+        stderr().print(f"{told} for another.", markup=False, highlight=False, soft_wrap=True)
     return newest
 
 

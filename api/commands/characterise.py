@@ -11,7 +11,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, bench_of, emit
 from api.commands.logged import Logged
-from api.terminal import Terminal, confirm, screen, wait
+from api.terminal import confirm, stderr, stdout, wait
 
 if TYPE_CHECKING:
     from api.bench.characterise import Found
@@ -40,7 +40,9 @@ FigureFile = Annotated[Path | None, typer.Option("--output", "-o", help="Plot to
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the simulated bench.")]
 IncidentAngle = Annotated[float, typer.Option(min=5, max=75, help="Incident angle on the mirror, degrees.")]
 
-commands = typer.Typer(help="Measure the bench itself and propose what the instrument file should say.")
+commands = typer.Typer(
+    help="Measure the bench itself and propose what the instrument file should say.", rich_markup_mode=None
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -158,7 +160,7 @@ def _characterise(
         check_figure(output)
     settings = load_instrument(instrument) if instrument else None
     if settings is not None:
-        screen.print("Opening all devices; the measurement takes some minutes.", highlight=False)
+        stderr().print("Opening all devices; the measurement takes some minutes.", highlight=False)
     found, proposed = wait(
         characterise(Store.open(database, bench_of(None, settings)), settings, seed, ask_for, measure)
     )
@@ -166,7 +168,7 @@ def _characterise(
     if as_json:
         emit(content(found, proposed) | {"path": None if written is None else str(written)})
         return
-    out = Terminal()
+    out = stdout()
     stated = BenchData() if settings is None else settings.bench_data
     told = lines(found, stated)
     if proposed:

@@ -7,7 +7,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.simulations import Page, write_page
-from api.terminal import Terminal
+from api.terminal import stdout
 
 
 def register(app: typer.Typer) -> None:
@@ -68,7 +68,7 @@ def choose_command(
             | choice_content(found)
         )
         return
-    out = Terminal()
+    out = stdout()
     for line in summary(found.choice):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in [] if found.rendered is None else verified_lines(found.rendered):

@@ -11,7 +11,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, emit, existing
 from api.commands.logged import Logged, account
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.errors import InputError, StoreOutdated
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from goniometer.integrity import Findings
     from goniometer.store import Store
 
-db = typer.Typer(help="Keep the database: back it up, restore, check, upgrade and archive it.")
+db = typer.Typer(help="Keep the database: back it up, restore, check, upgrade and archive it.", rich_markup_mode=None)
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
 OfDatabase = Annotated[str, typer.Option("--database", "-d", help="Its file.")]
 
@@ -183,6 +183,6 @@ def _tell(found: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     if as_json:
         emit(found)
         return
-    out = Terminal()
+    out = stdout()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

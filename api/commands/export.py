@@ -11,7 +11,7 @@ from analysis.choices import BRDF_MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR
 from api.choices import WRITTEN
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 
 if TYPE_CHECKING:
     from api.results.derive import Export
@@ -77,7 +77,7 @@ def tell_export(written: Export, *, as_json: bool) -> None:
     if as_json:
         emit({"format": written.file_format, "path": str(written.path), "sha256": written.sha256} | written.facts)
         return
-    out = Terminal()
+    out = stdout()
     out.print(f"Wrote {written.path}", markup=False, highlight=False)
     for line in written.notes:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

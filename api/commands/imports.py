@@ -9,7 +9,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.choices import Quantity
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def import_command(
     if as_json:
         emit(found)
         return
-    out = Terminal()
+    out = stdout()
     for line in (_summary(file, made, dataset), *_notes(dataset), *quality_lines(found)[1:]):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

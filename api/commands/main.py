@@ -5,13 +5,13 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -46,7 +46,7 @@ from api.commands.simulate import simulate
 from api.commands.stability import register as add_stability
 from api.commands.tradeoff import register as add_tradeoff
 from api.display import called, duration, progress_display, span
-from api.terminal import Terminal, ask_to_mount, screen, wait
+from api.terminal import Stopped, ask_to_mount, stderr, stdout, wait
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError
 
@@ -57,6 +57,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
+    context_settings={"max_content_width": 120},
+    rich_markup_mode=None,  # rich takes longer than all the rest of --help
 )
 
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (YAML or JSON).", show_default=False)]
@@ -65,9 +67,18 @@ UsageError: Any = typer.BadParameter.__mro__[1]  # typer gives it no public name
 OUTPUT = Path("results")
 
 
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"goniometer {version('goniometer')}")
+        raise typer.Exit
+
+
 @app.callback()
 def common(
     context: typer.Context,
+    _: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which version this is.")
+    ] = False,
     cluster: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://HOST:PORT, that does heavy work."),
@@ -89,14 +100,14 @@ def demo(
     from api.results.outcome import STATED
     from api.service import Watch
 
-    with progress_display(screen) as (show, note):
+    with progress_display(stderr()) as (show, note):
         result = wait(run_demo(output, seed, Watch(show, note, ask_to_mount), context.obj))
     if as_json:
         emit(asdict(result) | {"uncertainties": STATED})
         _fail_for(result.failures)
         return
     _show(result.samples)
-    Terminal().print(
+    stdout().print(
         f"Took {duration(result.seconds)} here; the bench would have needed {duration(result.bench_seconds)}."
     )
     _fail_for(result.failures)
@@ -128,7 +139,7 @@ def run_command(
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
     store = Store.open(database, bench_of(bench, settings))
-    with progress_display(screen) as (show, note):
+    with progress_display(stderr()) as (show, note):
         folder = output / slug(wanted.name)
         watch = Watch(show, note, ask_to_mount)
         running = run(store, wanted, folder, settings, watch, lamp_is_warm=lamp_is_warm, cluster=context.obj)
@@ -164,13 +175,13 @@ def doctor(
     from api.settings import load_instrument
 
     if instrument:
-        screen.print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
+        stderr().print("Opening all devices; a warm spectrometer takes minutes to cool down.", highlight=False)
     findings = wait(diagnose(load_instrument(instrument) if instrument else None, home=home))
     fit = not any(finding.problems for finding in findings)
     if as_json:
         emit({"fit": fit, "findings": [asdict(finding) for finding in findings]})
     else:
-        out = Terminal()
+        out = stdout()
         for finding in findings:
             style = "red" if finding.problems else None
             out.print(finding.line(), style=style, markup=False, highlight=False, soft_wrap=True)
@@ -187,7 +198,7 @@ def _fail_for(failures: tuple[str, ...]) -> None:
 def _show(samples: list[SampleOutcome]) -> None:
     from api.results.outcome import remarks, table
 
-    out = Terminal()
+    out = stdout()
     out.print(table(samples))
     for line in remarks(samples):
         out.print(line, markup=False, highlight=False)
@@ -216,7 +227,7 @@ def plan(
     if as_json:
         emit(asdict(found) | {"path": None if written is None else str(written)})
         return
-    out = Terminal()
+    out = stdout()
     for line in found.lines():
         out.print(line, markup=False, highlight=False)
     if written is not None:
@@ -274,7 +285,7 @@ def status(
             }
         )
         return
-    out = Terminal()
+    out = stdout()
     if left_out["campaigns"]:
         out.print(f"Older campaigns, shown with --last: {left_out['campaigns']}", highlight=False)
     for scan, entry in zip(scans, found, strict=True):
@@ -314,7 +325,7 @@ def _command(verb: Command) -> Callable[[str, str | None, bool], None]:
             emit({"scan": scan.id, "sample": scan.name, "requested": verb})
         else:
             told = f"Asked the scan of {called(scan.name, scan.kind)} to {verb}; it obeys {_OBEYED[verb]}."
-            Terminal().print(told, markup=False, highlight=False)
+            stdout().print(told, markup=False, highlight=False)
 
     command.__doc__ = f"{verb.capitalize()} the scan that is running on the database."
     return command
@@ -358,7 +369,7 @@ def fit(
             found.append(each)
             if not as_json:
                 for line in fit_lines(each):
-                    Terminal().print(line, markup=False, highlight=False)
+                    stdout().print(line, markup=False, highlight=False)
     if as_json:
         emit(found[0] if len(found) == 1 else {"datasets": found})
 
@@ -396,7 +407,7 @@ class _Warnings(logging.Handler):
     """Shows what drivers and scans warn of on stderr, a line each, above the progress where there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        screen.print(
+        stderr().print(
             f"{record.levelname.lower()}: {record.getMessage()}",
             style="yellow",
             markup=False,
@@ -421,7 +432,7 @@ def main() -> NoReturn:
         _fail(str(error), 1)
     except OSError as error:
         _fail(f"{error.filename or 'The output'}: {error.strerror or error}; make room, or name another place.", 1)
-    except asyncio.CancelledError:
+    except Stopped:
         code = 143
     if code in {130, 143}:  # typer turns Ctrl-C into the first, SIGTERM and SIGHUP come as the second
         _fail("Stopped; run the same command again to go on where it stood.", code)
@@ -429,5 +440,5 @@ def main() -> NoReturn:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    screen.print(f"goniometer: {message}", style="bold red", markup=False, highlight=False, soft_wrap=True)
+    stderr().print(f"goniometer: {message}", style="bold red", markup=False, highlight=False, soft_wrap=True)
     sys.exit(code)

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from api.commands.arguments import AsJson, emit
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from analysis.photo_statistics import PhotoStatistics
     from goniometer.photos import PhotoSeries
 
@@ -49,7 +50,7 @@ def photos(
         told = [_content(*one) for one in zip(series, read, found, strict=True)]
         emit({"series": told, "path": None if written is None else str(written)})
         return
-    out = Terminal()
+    out = stdout()
     for one, statistics in zip(read, found, strict=True):
         out.print(_rows(one, statistics))
         for line in photo_remarks(one, statistics):
@@ -79,6 +80,8 @@ def _content(file: Path, series: PhotoSeries, found: list[PhotoStatistics]) -> d
 
 
 def _rows(series: PhotoSeries, found: list[PhotoStatistics]) -> Table:
+    from rich.table import Table
+
     from goniometer.budget import COVERAGE_FACTOR
 
     rows = Table(title=f"{series.sample}, camera at {series.camera_angle:g}°", title_justify="left")

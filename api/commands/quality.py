@@ -7,7 +7,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.errors import InputError
 
 
@@ -43,7 +43,7 @@ def budget(
     if as_json:
         emit(budget_content(dataset_id, found) | {"path": None if written is None else str(written)})
         return
-    out = Terminal()
+    out = stdout()
     first, *rest = budget_lines(dataset_id, found, words(read).done)
     out.print(first, markup=False, highlight=False)
     out.print(budget_rows(found))
@@ -127,6 +127,6 @@ def calibrate(
 
 
 def _show(lines: list[str]) -> None:
-    out = Terminal()
+    out = stdout()
     for line in lines:
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -10,7 +10,7 @@ import typer
 from api.choices import Through
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.simulations import Page, write_page
-from api.terminal import Terminal
+from api.terminal import stdout
 
 if TYPE_CHECKING:
     from api.results.render import RenderedDataset
@@ -69,7 +69,7 @@ def render_command(
     if as_json:
         emit({"dataset": dataset_id, "page": None if written is None else str(written)} | _content(found, samples))
         return
-    out = Terminal()
+    out = stdout()
     for line in [*lines, *found.notes]:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
     for path in [*(file.path for file in found.files), *([] if written is None else [written])]:

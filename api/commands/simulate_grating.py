@@ -8,7 +8,7 @@ import typer
 from api.commands.arguments import AsJson, emit
 from api.commands.logged import Logged
 from api.commands.simulations import Page, store_computed, write_page
-from api.terminal import Terminal
+from api.terminal import stdout
 from simulators.choices import Spread
 
 SMALLEST_UM, LARGEST_UM = 0.2, 30.0
@@ -48,7 +48,7 @@ def grating_command(
     if as_json:
         emit(content(found, incident, smallest_period, largest_period, even_in, dataset, written))
         return
-    out = Terminal()
+    out = stdout()
     out.print(table(found))
     for line in told(found, incident, smallest_period, largest_period):
         out.print(line, markup=False, highlight=False)

@@ -9,7 +9,7 @@ import typer
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.logged import Logged
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.errors import InputError
 from goniometer.material_file import MaterialFile
 
@@ -44,7 +44,7 @@ def material_command(
     if as_json:
         emit({"dataset": dataset_id, "path": str(export.path), "sha256": export.sha256, **_content(made)})
         return
-    out = Terminal()
+    out = stdout()
     for line in _lines(made, export.path):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
 

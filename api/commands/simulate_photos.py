@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
 from api.commands.arguments import AsJson, emit
 from api.commands.simulations import Micro, Pitch, Seed, Size, SurfaceName
-from api.terminal import Terminal, screen
+from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 
 CAMERA_ANGLE, MAGNIFICATION = 45.0, 1.0
@@ -36,6 +35,8 @@ def photos_command(
     as_json: AsJson = False,
 ) -> None:
     """Photograph an aluminium surface at 45 degrees under an LED at -70 to 70 degrees, by wave optics."""
+    from rich.progress import Progress
+
     from analysis.fresnel import load_conductor
     from api.results.derive import make_folder
     from simulators.camera import Sensor, fineness_for, lighting_for, scene
@@ -56,12 +57,12 @@ def photos_command(
         )
     field = refined(made.field, times)
     points = f"{field.heights_um.shape[1]} x {field.heights_um.shape[0]} points"
-    screen.print(f"Computing the waves of {made.name} on {points}", markup=False, highlight=False)
+    stderr().print(f"Computing the waves of {made.name} on {points}", markup=False, highlight=False)
     taken = scene(field, lens, lights, load_conductor())
     make_folder(output)
     sensor = Sensor()
     name = f"{made.name}, micro-roughness" if micro else made.name
-    with Progress(console=screen, transient=True) as progress:
+    with Progress(console=stderr(), transient=True) as progress:
         task = progress.add_task("Photographing", total=len(ANGLES))
         path, colours = take_series(
             taken, sensor, name, output, seed, lambda count: progress.update(task, completed=count)
@@ -89,7 +90,7 @@ def photos_command(
             }
         )
         return
-    out = Terminal()
+    out = stdout()
     for line in (
         f"Wrote {len(ANGLES)} photographs and the panel's to {output}; look at them with: goniometer photos {path}",
         check.message,

@@ -9,12 +9,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import Progress
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.commands.logged import Logged
 from api.commands.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
-from api.terminal import Terminal, screen
+from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ def rays_command(
         body = chapters(scan, changes, minded, rough, len(made), periodic=first.field.periodic)
         written = write_page(page, f"Rays on {name}", body).path
     for warning in minded:
-        screen.print(f"warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        stderr().print(f"warning: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True)
     if as_json:
         emit(
             {
@@ -124,7 +123,7 @@ def rays_command(
             }
         )
         return
-    out = Terminal()
+    out = stdout()
     for line in lines(scan, changes):
         out.print(line, markup=False, highlight=False)
     out.print(f"{name} (rays): dataset {dataset} in {shown_place(database)}", markup=False, highlight=False)
@@ -167,7 +166,7 @@ def _measured(made: list[Topography], asked: Goniometer, cluster: str | None) ->
     fields = [each.field for each in made]
     fewer = replace(asked, theta_in=asked.theta_in[chosen(asked.theta_in.size, _CHECKED)])
     coarse = [terrain(coarser(field)) for field in fields]
-    screen.print(
+    stderr().print(
         f"Tracing {asked.rays:,} rays for each of {asked.theta_in.size} incident angles, and for "
         f"{fewer.theta_in.size} of them at twice the pitch ...",
         markup=False,
@@ -190,6 +189,8 @@ def _measured(made: list[Topography], asked: Goniometer, cluster: str | None) ->
 @contextmanager
 def _shown() -> Iterator[Callable[[float], None]]:
     """A bar on stderr, if that is a terminal, that follows a share."""
-    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as bars:
+    from rich.progress import Progress
+
+    with Progress(console=stderr(), transient=True, disable=not stderr().is_terminal) as bars:
         task = bars.add_task("Tracing", total=1.0)
         yield lambda share: bars.update(task, completed=share)

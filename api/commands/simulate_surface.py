@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from api.commands.arguments import AsJson, emit
 from api.commands.simulations import Micro, Page, Pitch, Seed, Size, write_page
-from api.terminal import Terminal
+from api.terminal import stdout
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from api.simulated.surface_facts import Described
 
 SurfaceNames = Annotated[
@@ -64,7 +65,7 @@ def surface_command(
     if as_json:
         emit({"surfaces": [_content(one) for one in found], "written": [str(path) for path in written]})
         return
-    out = Terminal()
+    out = stdout()
     for one in found:
         out.print(_table(one))
         for line in [*how_made(one.surface), remark(one)]:
@@ -85,6 +86,8 @@ def _content(found: Described) -> dict[str, Any]:
 
 
 def _table(found: Described) -> Table:
+    from rich.table import Table
+
     from api.simulated.surface_facts import shown
 
     table = Table(title=found.surface.name, title_justify="left", box=None, pad_edge=False)

@@ -7,12 +7,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import Progress
 
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit
 from api.commands.logged import Logged
 from api.commands.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
-from api.terminal import Terminal, screen
+from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE
 from simulators.choices import FEWEST, SIDE_UM, STEP_UM, Kernel
@@ -84,6 +83,8 @@ def waves_command(
 
     The way back to the lamp, which a detector blocks on a bench, is among the directions.
     """
+    from rich.progress import Progress
+
     from analysis.analyse import analyse
     from analysis.fresnel import load_conductor
     from analysis.local_fit import LEAST_WAVELENGTHS
@@ -112,7 +113,7 @@ def waves_command(
     chosen = choose_patches(surface, size, pitch, seed, patches, micro=micro)
     workers = min(os.cpu_count() or 1, patches)
     with (
-        Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress,
+        Progress(console=stderr(), transient=True, disable=not stderr().is_terminal) as progress,
         processes(context.obj, workers) as executor,
     ):
         bar = progress.add_task(f"waves on {chosen.name}", total=None)
@@ -122,7 +123,7 @@ def waves_command(
 
         found = simulate(chosen, setup, executor, told, seed if with_multiple else None, multiple_shift)
     if not found.sampling.sufficient:
-        screen.print(f"warning: {found.sampling.message}", style="yellow", markup=False, highlight=False)
+        stderr().print(f"warning: {found.sampling.message}", style="yellow", markup=False, highlight=False)
     dataset_id = store_computed(database, found.computed)
     written = None
     if page is not None:
@@ -131,7 +132,7 @@ def waves_command(
     if as_json:
         emit(_content(dataset_id, database, found, setup) | {"page": None if written is None else str(written)})
         return
-    out = Terminal()
+    out = stdout()
     for line in _lines(dataset_id, found):
         out.print(line, markup=False, highlight=False)
     if written is not None:

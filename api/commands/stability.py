@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import track
 
 from api.commands.arguments import AsJson, emit
 from api.commands.simulations import Page, write_page
-from api.terminal import Terminal, screen
+from api.terminal import stderr, stdout
 from simulators.choices import ABOUT, METHODS
 
 if TYPE_CHECKING:
@@ -47,6 +46,8 @@ def stability(
     as_json: AsJson = False,
 ) -> None:
     """Fit difficult measurements of known truth with every method, and draw the map of what fails and what says so."""
+    from rich.progress import track
+
     from api.executor import processes
     from api.results.stability import TITLE, stability_body, stability_content
     from simulators.ensemble import cells, ensemble, jobs
@@ -54,7 +55,7 @@ def stability(
     wanted = jobs(regime or list(ABOUT), method or list(METHODS), runs)
     with processes(context.obj, workers) as executor:
         made = ensemble(wanted, executor, resume)
-        found = list(track(made, "Fitting", len(wanted), console=screen, disable=not screen.is_terminal))
+        found = list(track(made, "Fitting", len(wanted), console=stderr(), disable=not stderr().is_terminal))
     made_cells = cells(found)
     silent = [each for each in found if each.silent]
     written = None if path is None else write_page(path, TITLE, stability_body(made_cells, silent)).path
@@ -69,7 +70,7 @@ def stability(
 def _tell(found: list[Cell], silent: list[Run], written: Path | None) -> None:
     from api.results.stability import HOW_TO_READ, rows_of, silent_line
 
-    out = Terminal()
+    out = stdout()
     methods = [name for name in METHODS if any(cell.method == name for cell in found)]
     rows = rows_of(found)
     lines = [f"{'':{_LEVEL}}" + "".join(f"{number:>{_CELL}}" for number, _ in enumerate(methods, start=1))]

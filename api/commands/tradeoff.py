@@ -9,7 +9,7 @@ import typer
 from api.choices import Kind
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
 from api.commands.simulations import Page, write_page
-from api.terminal import Terminal, screen
+from api.terminal import stderr, stdout
 
 if TYPE_CHECKING:
     from analysis.tradeoff import Chart
@@ -50,7 +50,7 @@ def tradeoff_command(
     if as_json:
         emit({"charts": charts_json(found), "page": path})
         return
-    out = Terminal()
+    out = stdout()
     for chart in found:
         for line in _lines(chart):
             out.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -59,7 +59,7 @@ def tradeoff_command(
 
 
 def _tell(words: str) -> None:
-    screen.print(words, style="dim", markup=False, highlight=False)
+    stderr().print(words, style="dim", markup=False, highlight=False)
 
 
 def _lines(chart: Chart) -> list[str]:

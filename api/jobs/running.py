@@ -40,9 +40,9 @@ log = logging.getLogger(__name__)
 LONG, SHORT = 1, max(1, (os.cpu_count() or 2) - 1)
 """Jobs of either sort that run at once, at a lower priority than the bench."""
 
-# What a job needs takes seconds to load; a server has it loaded, and a job is a fork of that, which has no threads.
-_CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload([begin_worker.__module__])
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload([begin_worker.__module__])
+"""What a job needs takes seconds to load; a server has it loaded, and a job is a fork of that, which has no threads."""
 
 PRUNE_EVERY = 3600.0
 """Seconds between two looks for jobs that are to be deleted."""
@@ -85,6 +85,8 @@ class Jobs:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._long, self._short = ThreadPoolExecutor(LONG), ThreadPoolExecutor(SHORT)
+        # Threads that share a small task wait for each other at full speed, which the bench on the same cores pays for.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         forkserver.ensure_running()
         self._look_after()
         self._beating = threading.Thread(target=self._beat, name="jobs", daemon=True)
@@ -141,8 +143,8 @@ class Jobs:
         """Do a job in this thread: start its process, follow it, and write down how it ended."""
         if self._closed.is_set():
             return
-        heard, told = _CONTEXT.Pipe(duplex=False)
-        begun = ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=begin_worker, initargs=(told,))
+        heard, told = CONTEXT.Pipe(duplex=False)
+        begun = ProcessPoolExecutor(1, mp_context=CONTEXT, initializer=begin_worker, initargs=(told,))
         with heard, begun as executor:
             with told, self._lock:
                 if not job_rows.begin(self._store, job_id):  # cancelled while it waited

@@ -151,7 +151,7 @@ def budget_lines(dataset_id: int, found: Budget, done: str) -> list[str]:
 
 def _numbers(u: float, relative: float) -> tuple[str, str]:
     """Sizes; the sign of a source says which way it moves the value, and matters only beside other values."""
-    return f"{abs(u):.2g}".replace("-", "−"), relative_in_words(abs(relative))
+    return uncertainty(abs(u)), relative_in_words(relative)
 
 
 def write_budget(dataset: Dataset, found: Budget, path: Path) -> Export:

@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -47,7 +48,13 @@ _FILLED = 5000
 _LOOK = 5.0
 """Seconds between two looks for new datasets."""
 
+_UNREADABLE = (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
+"""What is raised by a file of filled directions that is not there, or was cut short."""
+
 T = TypeVar("T")
+
+Fill = Callable[[int, threading.Event], bytes | None]
+"""Finds `filled_content` of the dataset of an id, and gives up with a `GoniometerError` when the event is set."""
 
 
 @dataclass(frozen=True)
@@ -100,17 +107,30 @@ class Opened:
 class Datasets:
     """The datasets of a database as they are looked at, the last ones kept in memory.
 
-    What is filled between the measured directions takes half a second to find, so it is kept in files in `folder`, by
-    the hash of the numbers that it comes from; whoever deletes them loses time and nothing else.
+    What is filled between the measured directions takes seconds to find, so it is kept in files in `folder`, by the
+    hash of the numbers that it comes from; whoever deletes them loses time and nothing else.
     """
 
-    def __init__(self, store: Store, folder: Path) -> None:
+    def __init__(self, store: Store, folder: Path, fill: Fill) -> None:
         self._store = store
         self._folder = folder
+        self._fill = fill
         self._kept: OrderedDict[int, tuple[Entry, Dataset]] = OrderedDict()
         self._opened: OrderedDict[tuple[int, int], Opened] = OrderedDict()
         self._answers: OrderedDict[str, bytes] = OrderedDict()
         self._lock = threading.Lock()
+        self._filling = threading.Lock()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._fill_new, name="fill", daemon=True)
+
+    def start(self) -> None:
+        """From now on, fill what comes into the database as soon as it is there, so that nobody waits for it."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Fill no more, and return when nothing is being filled."""
+        self._closed.set()
+        self._thread.join()
 
     def warm_up(self) -> None:
         """Load what takes seconds the first time; call it in a thread of its own when the service starts."""
@@ -120,20 +140,6 @@ class Datasets:
         # for a tenth of a second each time.
         gc.collect()
         gc.freeze()
-
-    def fill_new(self, stop: threading.Event) -> None:
-        """Until `stop` is set, fill what comes into the database as soon as it is there, so that nobody waits for it.
-
-        Call it in a thread of its own.
-        """
-        last = self._store.newest_dataset()
-        while not stop.wait(_LOOK):
-            try:
-                for dataset_id in self._store.datasets_after(last):
-                    last = dataset_id
-                    self.filled(self.open(dataset_id))
-            except GoniometerError as error:  # whoever opens it is told, too
-                log.warning("Dataset %s was not filled beforehand: %s", last, error)
 
     def version(self, dataset_id: int) -> tuple[object, ...]:
         """What all views of a dataset are made of: they change with nothing else. Raises `NotInStore`."""
@@ -152,18 +158,35 @@ class Datasets:
         return self._remembered(self._answers, tag, make, _ANSWERS)
 
     def filled(self, opened: Opened) -> Filled | None:
-        """What can be said of the directions that were not measured; None of a simulation, or with too few points."""
-        dataset = opened.dataset
-        enough = np.count_nonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1)) >= FEWEST
-        if dataset.simulated or not enough:
-            return None
-        file = self._folder / f"filled-{opened.entry.content_hash[:32]}-{software_version()}.npz"
-        try:
+        """What can be said of the directions that were not measured; None of a simulation, or with too few points.
+
+        Raises what the `fill` of this object raises.
+        """
+        return self._filled(opened.entry) if _can_be_filled(opened.dataset) else None
+
+    def _filled(self, entry: Entry) -> Filled | None:
+        file = self._folder / f"filled-{entry.content_hash[:32]}-{software_version()}.npz"
+        with suppress(*_UNREADABLE):
             return _unpack(file.read_bytes())
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error):  # not there yet, or cut short
-            found = fill(dataset, *unmeasured(dataset, STEP))
-            self._keep(file, _pack(found))
-            return found
+        with self._filling:
+            with suppress(*_UNREADABLE):  # who had it filled meanwhile has kept it
+                return _unpack(file.read_bytes())
+            content = self._fill(entry.id, self._closed)
+            if content is None:
+                return None
+            self._keep(file, content)
+            return _unpack(content)
+
+    def _fill_new(self) -> None:
+        last = self._store.newest_dataset()
+        while not self._closed.wait(_LOOK):
+            try:
+                for dataset_id in self._store.datasets_after(last):
+                    last = dataset_id
+                    self._filled(self._store.entry(dataset_id))
+            except GoniometerError as error:  # whoever opens it is told, too
+                if not self._closed.is_set():
+                    log.warning("Dataset %s was not filled beforehand: %s", last, error)
 
     def _entry(self, dataset_id: int) -> Entry:
         with self._lock:
@@ -193,6 +216,19 @@ class Datasets:
         known = sorted(self._folder.glob("filled-*.npz"), key=lambda each: each.stat().st_mtime)
         for old in known[:-_FILLED]:
             old.unlink(missing_ok=True)
+
+
+def filled_content(dataset: Dataset) -> bytes | None:
+    """What can be said of the directions of a dataset that were not measured, as the content of a file.
+
+    None of a simulation, or with too few points. It takes seconds.
+    """
+    return _pack(fill(dataset, *unmeasured(dataset, STEP))) if _can_be_filled(dataset) else None
+
+
+def _can_be_filled(dataset: Dataset) -> bool:
+    enough = np.count_nonzero(dataset.usable & np.isfinite(dataset.brdf).any(axis=1)) >= FEWEST
+    return bool(enough) and not dataset.simulated
 
 
 def _pack(filled: Filled) -> bytes:

@@ -76,14 +76,11 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         live.worker.start()
         _step_back()
         threading.Thread(target=live.datasets.warm_up, name="warm-up", daemon=True).start()
-        stop = threading.Event()
-        filling = threading.Thread(target=live.datasets.fill_new, args=(stop,), name="fill", daemon=True)
-        filling.start()
+        live.datasets.start()
         try:
             yield
         finally:
-            stop.set()
-            await asyncio.to_thread(filling.join)
+            await asyncio.to_thread(live.datasets.close)
             await asyncio.to_thread(live.worker.close)
 
     app = _Application(

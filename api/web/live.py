@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from api.access.callers import Callers
@@ -13,6 +14,7 @@ from api.jobs.retention import KEPT, Retention
 from api.jobs.running import Jobs
 from api.settings import InstrumentSettings
 from api.views.opened import Datasets
+from api.web.filling import fill_apart
 from goniometer.store import Store
 from goniometer.tables import BENCH
 
@@ -65,7 +67,7 @@ def open_live(
     events = Events()
     worker = Link(Task(database, output, settings, url, mounts_by_itself, bench, cluster), store, events)
     jobs = Jobs(store, database, output, events, cluster, worker, kept)
-    datasets = Datasets(store, output / "cache")
+    datasets = Datasets(store, output / "cache", partial(fill_apart, database))
     try:
         yield Live(store, database, settings, events, worker, output, jobs, datasets, Callers(store), Path.cwd())
     finally:

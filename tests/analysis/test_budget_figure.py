@@ -16,6 +16,7 @@ from analysis.budget_figure import (
     share_in_words,
     side_by_side,
 )
+from analysis.notation import uncertainty
 from analysis.svg import INK
 from drivers.arrays import FloatArray
 from goniometer.budget import budget
@@ -90,10 +91,12 @@ def test_the_table_says_all_parts_the_sum_and_the_coverage_factor(dataset: Datas
     ElementTree.fromstring(table)
     for part in found.parts:
         assert part.name in table
-        assert f"{part.u:.2g}".replace("-", "−") in table
+        assert f'<td class="number">{uncertainty(abs(part.u))}</td>' in table
     assert "combined, k = 1" in table
     assert "expanded, k = 2" in table
-    assert f"± {2 * found.u:.2g} 1/sr (expanded uncertainty, k = 2: 95.45 %" in table
+    told = re.search(r"f = ([\d.]+)\(\d\d\) 1/sr \(k = 1\); expanded uncertainty ± ([\d.]+) 1/sr \(k = 2: 95", table)
+    assert told
+    assert [float(number) for number in told.groups()] == pytest.approx([found.brdf, 2 * found.u], rel=0.05)
     page = budget_page(found, budget_panels(dataset, 40, 40), "What they show.")
     assert "disc &lt;2&gt;: uncertainty budget" in page
     assert "src=" not in page

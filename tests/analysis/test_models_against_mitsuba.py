@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
@@ -15,7 +16,8 @@ from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric
 from analysis.models import cook_torrance
 from drivers.arrays import FloatArray
 
-pytest.importorskip("mitsuba")
+# looked for and not loaded: only the processes that render need it
+pytestmark = pytest.mark.skipif(find_spec("mitsuba") is None, reason="Mitsuba is not installed")
 
 RENDERER = """
 import json, sys

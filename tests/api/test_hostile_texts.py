@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 from analysis.mitsuba_scene import read_mitsuba
 from api.commands.main import app
 from api.exports.formats import Options, export_dataset
+from api.inert_console import InertConsole
 from api.logs import log_as_json
 from api.results.foreign_scene import check_foreign_scene
 from api.results.imports import Request, imported_file
 from api.results.products import report_dataset
-from api.terminal import Terminal
 from goniometer.campaign_file import read_campaign
 from goniometer.dataset import Check, Dataset
 from goniometer.dataset_file import reloaded
@@ -64,7 +64,7 @@ def test_nothing_that_is_printed_commands_the_terminal(name: str, tmp_path: Path
         assert not [c for c in told if c != "\n" and not c.isprintable() and c in text]
     table = Table(text)
     table.add_row(text, text)
-    terminal = Terminal(force_terminal=False)
+    terminal = InertConsole(force_terminal=False)
     with terminal.capture() as printed:
         terminal.print(text, markup=False)
         terminal.print(table)

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +12,19 @@ from typer.main import get_command
 from api.commands.main import app
 
 # pydantic is not among them: typer itself reads the options of a command with it
-HEAVY = ("numpy", "scipy", "lmfit", "sqlalchemy", "numba", "matplotlib", "colour", "fastapi", "distributed")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "lmfit",
+    "sqlalchemy",
+    "numba",
+    "matplotlib",
+    "colour",
+    "fastapi",
+    "distributed",
+    "asyncio",
+    "rich",
+)
 
 LOADED = f"""
 import sys
@@ -33,6 +47,13 @@ def paths(command: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
 def test_help_in_a_new_process_loads_no_numbers_and_no_database(arguments: tuple[str, ...]) -> None:
     done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=True)
     assert "Usage: " in done.stdout
+    assert done.stderr.strip() == "[]"
+
+
+def test_one_can_say_which_version_has_a_fault() -> None:
+    stated = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["version"]
+    done = subprocess.run([sys.executable, "-c", LOADED, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"goniometer {stated}\n"
     assert done.stderr.strip() == "[]"
 
 

@@ -18,7 +18,7 @@ from api.views.in_plane_map import in_plane_map
 from api.views.ladder import ladder
 from api.views.lineage import lineage
 from api.views.listing import detail
-from api.views.opened import Datasets, Opened
+from api.views.opened import Datasets, Fill, Opened, filled_content
 from api.views.slopes import slopes
 from api.views.spectra import point_spectrum
 from goniometer.budget import by_part
@@ -43,8 +43,13 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
         text = fit_to_json(fit, dataset, analysis.differences[fit.model], analysis.conductor)
         store.add_fit(number, fit.model, text)
     store.add_fit(number, "analysis", analysis_to_json(analysis, analysis.conductor))
-    datasets = Datasets(store, folder / "cache")
+    datasets = Datasets(store, folder / "cache", here(store))
     return store, datasets, datasets.open(number), analysis
+
+
+def here(store: Store) -> Fill:
+    """Fills in this process."""
+    return lambda number, _: filled_content(store.dataset(number))
 
 
 def flagged(dataset: Dataset) -> Dataset:
@@ -143,7 +148,7 @@ def test_the_ladder_says_what_the_fits_said(shown: Shown) -> None:
 
 def test_what_was_filled_is_kept_for_the_next_who_asks_to_the_last_bit(shown: Shown, tmp_path: Path) -> None:
     store, _, opened, _ = shown
-    datasets = Datasets(store, tmp_path)
+    datasets = Datasets(store, tmp_path, here(store))
     first, again = datasets.filled(opened), datasets.filled(opened)
     assert first is not None
     assert again is not None

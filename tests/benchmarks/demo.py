@@ -10,8 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from api.demo import demo
-
+from api.commands.demo import demo
 from api.service import QUIET
 from tests.benchmarks.figures import tell
 

@@ -96,7 +96,9 @@ def _section(name: str, outcome: Outcome | None, machines: list[str]) -> list[st
     about = first_sentence(Path(__file__).with_name(f"{name}.py"))
     if outcome is None:
         return [about, f"Not run yet; `python -m tests.benchmarks {name}` does."]
-    when = f"{outcome.date}, code {outcome.commit}, {outcome.minutes:.1f} min, {outcome.processors:.1f} of processors"
+    when = (
+        f"{outcome.date}, code {outcome.commit}, {outcome.minutes:.1f} min, {outcome.processors:.1f} min of processors"
+    )
     when += f", load {outcome.load:.1f} before"
     where = f", machine {machines.index(outcome.machine) + 1}" if len(machines) > 1 else ""
     failure = [f"**Failed**: {outcome.failure}."] if outcome.failure else []

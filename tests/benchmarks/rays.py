@@ -89,7 +89,8 @@ def convergence() -> None:
         for first, found in ((name, value), ("", u)):
             print(f"{first:<18}" + "".join(f"{each:>13.5f}" for each in found.ravel()))
         by_pitch.append(value.ravel())
-    change = np.abs(by_pitch[1] / by_pitch[0] - 1)
+    lit = by_pitch[0] > 0
+    change = np.abs(by_pitch[1][lit] / by_pitch[0][lit] - 1)
     tell("figures that change by less than 1 % at half the pitch", (change < 0.01).sum(), f"of {change.size}")
     tell("median change of a figure at half the pitch", 100 * np.median(change), "%")
 

@@ -7,8 +7,10 @@ known exactly (`sampling_materials`), are read through the aperture, and carry 0
 reading the BRDF between the points, on a grid of 0.1 degrees at nine incident angles.
 """
 
+import multiprocessing
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -144,9 +146,10 @@ def dynamic(truth: Truth, spec: PlanSpec, random: np.random.Generator) -> list[M
     return points
 
 
-def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
+def sample(name: str) -> list[Result]:
     """All methods on one material."""
-    random, judged = np.random.default_rng(seed), judge(truth)
+    truth = MATERIALS[name]
+    random, judged = np.random.default_rng(1), judge(truth)
 
     def result(method: str, points: list[Measured], read: Read, spec: PlanSpec | None = None) -> Result:
         rms, largest, dark, colour = judged.errors(read)
@@ -170,6 +173,11 @@ def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
     spec = PlanSpec(THETA_IN, tolerance=1.0, colour_tolerance=0.1)
     points = dynamic(truth, spec, random)
     results.append(result("dynamic, dE00 0.1", points, through_process_of_plan(spec, points), spec))
+    return results
+
+
+def show(name: str, results: list[Result]) -> None:
+    """Print the table of one material."""
     print(f"\n{name}")
     print(
         f"{'method':28}{'points':>8}{'minutes':>9}{'rms':>9}{'max':>9}{'rms 1e-4':>10}{'dE00':>8}"
@@ -188,8 +196,7 @@ def sample(name: str, truth: Truth, seed: int = 1) -> list[Result]:
         ("max", lambda r: r.largest),
     ):
         ratios = [ratio(r, results, error) for r in results if r.method == "dynamic"]
-        print(f"  points over uniform grid of equal {label}: " + ", ".join(f"{v:.3f}" for v in ratios))
-    return results
+        print(f"  points over uniform grid of equal {label}: " + ", ".join(f"{v:.3f}" for v in ratios), flush=True)
 
 
 def through_process_of_plan(spec: PlanSpec, points: list[Measured]) -> Read:
@@ -287,7 +294,11 @@ def chart(everything: dict[str, list[Result]]) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """Print the tables, and write the chart where a path is given."""
-    everything = {name: sample(name, truth) for name, truth in MATERIALS.items()}
+    everything = {}
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
+        for name, results in zip(MATERIALS, executor.map(sample, MATERIALS), strict=True):
+            show(name, results)
+            everything[name] = results
     print()
     trust = []
     for name, results in everything.items():

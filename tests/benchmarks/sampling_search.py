@@ -7,9 +7,11 @@ through the aperture. It is sampled with and without a pre-scan. Without one a n
 none may be missed that stands above the noise of the pre-scan.
 """
 
+import multiprocessing
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,16 +114,21 @@ def sampled(case: Case, swept: list[Swept], random: np.random.Generator) -> Foun
     )
 
 
+def both_ways(case: Case, seed: int) -> tuple[Case, float, Found, Found]:
+    """How clearly a case stands out, and what becomes of it with a pre-scan and without."""
+    random = np.random.default_rng([11, seed])
+    swept, clear = sweep(case, random)
+    return case, clear, sampled(case, swept, random), sampled(case, [], random)
+
+
 def main(arguments: Sequence[str]) -> None:
     """Print a table of both ways by width."""
     count = int(arguments[0]) if arguments else 1000
     random = np.random.default_rng(11)
     cases = [random_case(random) for _ in range(count)]
     begin = time.perf_counter()
-    rows = []
-    for case in cases:
-        swept, clear = sweep(case, random)
-        rows.append((case, clear, sampled(case, swept, random), sampled(case, [], random)))
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
+        rows = list(executor.map(both_ways, cases, range(count)))
     print(f"{count} lobes at theta_in = {THETA_IN:g} degrees, {time.perf_counter() - begin:.0f} s")
     above = [row for row in rows if row[1] > 5]
     print(

@@ -8,9 +8,8 @@ makes what `goniometer stability` makes, with RUNS (5) measurements of every cel
 import os
 import sys
 
-from api.stability import silent_line
-
 from api.executor import processes
+from api.results.stability import silent_line
 from simulators.choices import ABOUT, METHODS
 from simulators.ensemble import ensemble, jobs
 from tests.benchmarks.figures import tell
