@@ -115,6 +115,11 @@ def fresnel_conductor(cos_theta: FloatArray, n: FloatArray, k: FloatArray) -> Fl
 
     `cos_theta` is the cosine of the angle of incidence; all three broadcast. Source: Born & Wolf,
     Principles of Optics, section 14.4, in the form with a^2 + b^2 = |eta^2 - sin^2|.
+
+    At normal incidence it is ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2), and one at grazing:
+
+    >>> fresnel_conductor(np.array([1.0, 0.0]), np.array(1.0), np.array(6.0)).round(6).tolist()
+    [0.9, 1.0]
     """
     cos2 = cos_theta**2
     sin2 = 1 - cos2
@@ -136,6 +141,9 @@ def fresnel_dielectric(cos_theta: FloatArray, eta: float) -> FloatArray:
     `cos_theta` is the cosine of the angle of incidence, from the side of the air, of any shape. It is Cook and
     Torrance's formula (1981, section "Spectral Composition of the Reflected Light"), with g^2 = eta^2 + c^2 - 1,
     written as the two polarisations. Raises `OutOfRange` for `eta` below one.
+
+    >>> fresnel_dielectric(np.array([1.0, 0.0]), 1.5).round(6).tolist()
+    [0.04, 1.0]
     """
     r_s, r_p, _ = _dielectric_amplitudes(cos_theta, eta)
     return np.asarray(0.5 * (r_s**2 + r_p**2))

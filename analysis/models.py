@@ -18,7 +18,11 @@ LAMBDA_N = 600.0
 
 
 def cosine_slope(theta_m: FloatArray, h: float, w: float, t_y: float = 0.0) -> FloatArray:
-    """Slope m of the shift (Eq. 5), 1/um; `theta_m` in degrees."""
+    """Slope m of the shift (Eq. 5), 1/um, [...]; `theta_m` [...] in degrees.
+
+    >>> cosine_slope(np.array([0.0, 20.0, 30.0]), h=1.2, w=3.0).round(6).tolist()
+    [1.2, 0.6, 0.0]
+    """
     return np.asarray(h * np.cos(w * np.radians(theta_m)) + t_y)
 
 
@@ -31,7 +35,13 @@ def cosine_slope_derivative(theta_m: FloatArray, h: float, w: float, t_y: float 
 
 
 def shift(slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N) -> FloatArray:
-    """Shift function 1 + m (lambda - lambda_n) (Eq. 4), [..., wavelengths]; negative values become zero."""
+    """Shift function 1 + m (lambda - lambda_n) (Eq. 4), [..., wavelengths]; negative values become zero.
+
+    `slope` [...] is m in 1/um; wavelengths are in nm.
+
+    >>> shift(np.array([1.0, -8.0]), np.array([450.0, 600.0, 750.0])).round(6).tolist()
+    [[0.85, 1.0, 1.15], [2.2, 1.0, 0.0]]
+    """
     return np.asarray(np.maximum(1 + np.asarray(slope)[..., None] * (wavelengths - lambda_n) * 1e-3, 0.0))
 
 
@@ -49,7 +59,11 @@ def shift_is_clamped(slope: FloatArray, wavelengths: FloatArray, lambda_n: float
 
 
 def theta_m(directions: Directions) -> FloatArray:
-    """Angle between half vector and surface normal, degrees."""
+    """[...] angle between half vector and surface normal, degrees.
+
+    >>> theta_m(in_plane(np.array([40.0]), np.array([20.0]))).round(6).tolist()
+    [10.0]
+    """
     return np.asarray(np.degrees(np.arccos(np.clip(directions.cos_m, -1, 1))))
 
 

@@ -1,4 +1,4 @@
-"""What all rotation stages do alike: refuse an angle out of limits, wait for a motion to end."""
+"""Refusing an angle out of limits, how long a motion takes, and waiting for it to end: for all rotation stages."""
 
 import math
 from collections.abc import Awaitable, Callable
@@ -26,6 +26,9 @@ def travel_time(distance: float, velocity: float, acceleration: float) -> float:
 
     Constant acceleration (degrees/s^2) up to `velocity` (degrees/s), cruise, constant deceleration; over a
     short way the velocity is never reached and the profile is a triangle.
+
+    >>> travel_time(90.0, velocity=20.0, acceleration=40.0), travel_time(2.5, velocity=20.0, acceleration=40.0)
+    (5.0, 0.5)
     """
     distance = abs(distance)
     if distance < velocity**2 / acceleration:

@@ -41,7 +41,13 @@ class Geometry:
 
 
 def from_stages(sample_angle: float, detector_angle: float) -> Geometry:
-    """Geometry of two stage angles, degrees."""
+    """Geometry of two stage angles, degrees.
+
+    >>> from_stages(30.0, 50.0)
+    Geometry(theta_in=30.0, theta_out=20.0)
+    >>> from_stages(30.0, 4.0).blocked
+    True
+    """
     return Geometry(sample_angle, detector_angle - sample_angle)
 
 

@@ -53,7 +53,14 @@ def everywhere(points: int) -> Groups:
 
 
 def combined(sources: tuple[ErrorSource, ...], shape: tuple[int, int]) -> FloatArray:
-    """[points, wavelengths] combined standard uncertainty (coverage factor 1) of all `sources`, 1/sr."""
+    """[points, wavelengths] combined standard uncertainty (coverage factor 1) of all `sources`, 1/sr.
+
+    >>> shared, own = np.full((2, 1), 0.03), np.full((2, 1), 0.04)
+    >>> lamp = ErrorSource("lamp", "drift", shared, everywhere(2), shared_by_wavelengths=True)
+    >>> noise = ErrorSource("noise", "random", own, None, shared_by_wavelengths=False)
+    >>> combined((lamp, noise), (2, 1)).round(6).tolist()
+    [[0.05], [0.05]]
+    """
     return np.asarray(np.sqrt(sum((source.values**2 for source in sources), np.zeros(shape))))
 
 

@@ -237,7 +237,7 @@ def test_samples_are_exchanged_in_time_so_that_a_lamp_drifts_meanwhile() -> None
 
 def test_the_benches_in_the_documents_can_be_made(capsys: pytest.CaptureFixture[str]) -> None:
     text = (Path(__file__).parents[2] / "docs" / "simulated-laboratory.md").read_text(encoding="utf-8")
-    _, code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    _, _, code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(code, {})
     assert capsys.readouterr().out == f"{drawn(1, BenchData(), lamp_drift=0.01)}\n"
 
