@@ -61,7 +61,7 @@ def figures(finding: Finding) -> dict[str, float]:
 
 def threads_end_at(number: int) -> bool:
     """Whether no more than `number` threads are left; one that was told to end gets a moment."""
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 60
     while threading.active_count() > number and time.monotonic() < deadline:
         time.sleep(0.01)
     return threading.active_count() <= number

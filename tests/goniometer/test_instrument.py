@@ -101,7 +101,7 @@ def on_bench(laboratory, work, **options):
 
 async def until(condition):
     """Return when `condition` holds; fail when it never does."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while not condition():  # noqa: ASYNC110 - what happens in simulators wakes nobody here
             await asyncio.sleep(0.0005)
 

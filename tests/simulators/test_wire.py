@@ -76,7 +76,7 @@ def connect(counter: Counter, request: pytest.FixtureRequest) -> Iterator[Callab
 
 
 def until_it_opens(url: str) -> serial.Serial:
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60
     while True:
         try:
             return serial.serial_for_url(url, timeout=0.5, exclusive=True)
