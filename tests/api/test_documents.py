@@ -36,7 +36,7 @@ ONLY_READ = re.compile(
     | photos\b                                    # photographs that nobody took
     | (choose|render|report|stability|tradeoff|simulate\ (surface|rays|waves|grating|material|photos))\b    # take long
     | export\ .*\b(mitsuba|package)\b            # take long
-    | .*--(cluster|database)\b                    # a cluster, or what a demo left behind
+    | .*--cluster\b                               # a cluster of somebody
     """,
     re.VERBOSE,
 )
