@@ -20,6 +20,8 @@ import yaml
 from api.settings import load_instrument
 from goniometer.campaign import Campaign, Sample
 from goniometer.campaign_file import load_campaign
+from goniometer.certificate import Certificate
+from goniometer.certificate_file import parse_certificate
 from goniometer.tables import BENCH
 from tests.served import served
 
@@ -132,6 +134,13 @@ def test_no_link_leads_nowhere_and_every_benchmark_that_is_named_is_there(docume
             assert (document.parent / target).exists(), target
     for name in re.findall(r"python -m (tests\.[\w.]*\w)", text):
         assert importlib.util.find_spec(name) is not None, name
+
+
+def test_the_certificate_in_the_documents_is_one() -> None:
+    (text,) = blocks(ROOT / "docs" / "writing-a-campaign.md", "csv")
+    shown = parse_certificate(text, "panel.csv")
+    assert isinstance(shown, Certificate)
+    assert shown.reflectance_8h.tolist() == [0.981, 0.991, 0.990]
 
 
 def test_every_document_stands_in_the_index() -> None:
