@@ -44,12 +44,12 @@ class Benchmark:
 PROOFS = {
     "The bench and its drivers": (
         Benchmark("driver_overhead", 0.7),
-        Benchmark("fault_matrix", 1.7, "1"),
+        Benchmark("fault_matrix", 1, "1"),
         Benchmark("soak", 1, "500"),
         Benchmark("time_left", 0.5),
     ),
     "Measurements and their uncertainty": (
-        Benchmark("coverage", 1.1, "12"),
+        Benchmark("coverage", 2, "24"),
         Benchmark("corrections", 1),
         Benchmark("recalibration", 0.2),
     ),
