@@ -1,7 +1,6 @@
 """What the documents show is what the program takes."""
 
 import importlib.util
-import os
 import re
 import shlex
 import shutil
@@ -83,38 +82,39 @@ def folder(small: tuple[Path, dict[str, Any]]) -> Path:
     ("commands", "snippets"), [pytest.param(*found[1:], id=found[0]) for found in first_mentions()]
 )
 def test_what_the_documents_tell_people_to_type_works(
-    cli: Any, folder: Path, commands: list[str], snippets: list[str]
+    cli: Any,
+    folder: Path,
+    commands: list[str],
+    snippets: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for line in commands:
         arguments = shlex.split(line)[1:]
         asked = ("--help",) if ONLY_READ.match(line.removeprefix("goniometer ")) else ()
         done = cli(*arguments, *asked, cwd=folder, typed="correct horse battery\n" * 2)
         assert done.returncode == (0 if asked else ENDS_WITH.get(line, 0)), f"{line}\n{done.stdout}{done.stderr}"
+    monkeypatch.chdir(folder)
     for snippet in snippets:
-        assert python(snippet, folder)
-
-
-def python(snippet: str, folder: Path, **environment: str) -> str:
-    """What it prints."""
-    command = [sys.executable, "-W", "error::RuntimeWarning", "-c", snippet]
-    told = {"cwd": folder, "env": os.environ | environment, "capture_output": True, "text": True, "timeout": 300}
-    done = subprocess.run(command, **told, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+        exec(snippet, {})
+        assert capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_what_the_documents_ask_of_the_service_is_answered(folder: Path) -> None:
+def test_what_the_documents_ask_of_the_service_is_answered(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     urls = [shlex.split(line)[-1] for document in DOCUMENTS for line in lines(document, "curl")]
     snippets = [text for document in DOCUMENTS for text in blocks(document, "python") if SERVICE in text]
     assert urls
     assert snippets
     with served(folder) as service:
-        token = service.client.headers["Authorization"].removeprefix("Bearer ")
+        monkeypatch.setenv("GONIOMETER_TOKEN", service.client.headers["Authorization"].removeprefix("Bearer "))
         for url in urls:
             assert service.client.get(url.removeprefix(SERVICE)).status_code == 200, url
         for snippet in snippets:
-            assert python(snippet.replace(SERVICE, service.url), folder, GONIOMETER_TOKEN=token)
+            exec(snippet.replace(SERVICE, service.url), {})
+            assert capsys.readouterr().out
 
 
 def test_every_piece_of_a_campaign_in_the_documents_is_accepted() -> None:
