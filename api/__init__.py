@@ -1,1 +1,16 @@
-"""Faces and wiring: the service and the command line."""
+"""Faces and wiring: the service and the command line.
+
+Where what stands:
+
+the floors wired        service, settings, preflight, preview, datasets
+the command line        commands, terminal, inert_console, display, mount_request, choices
+the service             web, views, events, logs
+the bench of a service  bench
+heavy work of a service jobs
+who may use it          access
+scripts that use it     client, calls, call
+what datasets become    results, exports, simulated
+where work is done      executor, cluster
+bluesky                 bluesky_devices
+what can go wrong       errors
+"""

@@ -74,13 +74,13 @@ def progress_display(console: Console) -> Iterator[tuple[Show, Note]]:
 def _bars(console: Console) -> Iterator[tuple[Show, Note]]:
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bars
+    from rich.table import Column
 
     columns = (
         TextColumn("{task.description:<22}", markup=False),
-        BarColumn(bar_width=24),
-        TextColumn("{task.percentage:>3.0f} %"),
+        BarColumn(bar_width=12),
         TextColumn("{task.completed:>4.0f} of {task.total:.0f} points"),
-        TextColumn("{task.fields[state]}"),
+        TextColumn("{task.fields[state]}", table_column=Column()),  # goes on in a second line of a narrow terminal
     )
     with Bars(*columns, console=console) as bars:
         tasks: dict[int, TaskID] = {}

@@ -10,7 +10,7 @@ where to measure        plan, plan_spec, batches, refinement, interpolant, kerne
                         colour_error, prescan, sweep
 how a scan is run       scheduler, auxiliary, waiting, progress, estimate, duration, provisional
 from counts to 1/sr     raw, signal, scatter, drift, response, reference, certificate, certificate_file,
-                        calibration, footprint
+                        calibration, footprint, provisional
 uncertainty             sources, uncertainty, budget
 what a dataset says     dataset, averages, checks, energy, reciprocity, between, sector, fill, lineage
 the database            store, records, tables, service_tables, look_up, catalogue, derived, only_added, database,

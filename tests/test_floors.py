@@ -18,7 +18,7 @@ def test_no_floor_imports_from_a_floor_above_it() -> None:
     assert "2 kept, 0 broken" in result.stdout
 
 
-@pytest.mark.parametrize("floor", ["drivers", "goniometer", "analysis", "simulators"])
+@pytest.mark.parametrize("floor", ["drivers", "goniometer", "analysis", "simulators", "api"])
 def test_who_looks_for_a_module_finds_it_where_the_floor_says_what_stands_where(floor: str) -> None:
     package = importlib.import_module(floor)
     _, where = (package.__doc__ or "").split("Where what stands:")

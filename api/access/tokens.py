@@ -75,7 +75,7 @@ class Caller:
 
 
 def create_token(
-    database: Database, owner: str, label: str, role: Role | None = None, lifetime: timedelta | None = None
+    database: Database, owner: str, label: str, role: Role | None = None, expires: datetime | None = None
 ) -> tuple[str, Token]:
     """A new token of somebody and what is known of it; by default with their role, and for ever.
 
@@ -86,8 +86,6 @@ def create_token(
     if not at_least(owns.role, role):
         raise InputError(f"A token of {owner} cannot have the role {role}; give it {owns.role} or a lower one")
     text = PREFIX + secrets.token_urlsafe(32)
-    created = datetime.now(UTC)
-    expires = None if lifetime is None else (created + lifetime).isoformat(timespec="milliseconds")
     with database.writing() as connection:
         made = insert_row(
             connection,
@@ -96,8 +94,8 @@ def create_token(
             label=label,
             role=role,
             hash=_digest(text),
-            created=created.isoformat(timespec="milliseconds"),
-            expires=expires,
+            created=now(),
+            expires=None if expires is None else _text_of(expires),
         )
     return text, token(database, made)
 

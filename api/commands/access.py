@@ -2,7 +2,7 @@
 
 import sys
 from dataclasses import asdict
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 import typer
@@ -124,7 +124,8 @@ def create(
 
     store = Store.open(database)
     ensure_first_user(store)
-    text, made = create_token(store, user, label, role, None if days is None else timedelta(days=days))
+    expires = None if days is None else datetime.now(UTC) + timedelta(days=days)
+    text, made = create_token(store, user, label, role, expires)
     context.meta["log number"] = made.id
     if as_json:
         emit(asdict(made) | {"token": text})

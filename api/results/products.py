@@ -124,9 +124,10 @@ def fit_lines(found: dict[str, Any]) -> list[str]:
         lines.append(f"{name}: {', '.join(values)}; mean dE00 absolute / chromatic {means}; {r2}")
         if "comparison" in part:
             other = part["comparison"]
+            bic = _number(other["BIC_falls_by"])
             lines.append(
-                f"  against {other['simpler_model']}: BIC falls by {_number(other['BIC_falls_by']):.4g}, "
-                f"mean dE00 by {_known(other['mean_dE00_falls_by'])}"
+                f"  against {other['simpler_model']}: BIC {'rises' if bic < 0 else 'falls'} by {abs(bic):.4g}, "
+                f"mean dE00 falls by {_known(other['mean_dE00_falls_by'])}"
             )
         word = "note" if part["verdict"]["trusted"] else "do not trust it"
         lines += [f"  {word}: {reason}" for reason in part["verdict"]["reasons"]]
@@ -149,7 +150,7 @@ def _number(stored: float | str | None) -> float:
 
 def _known(difference: float | None) -> str:
     """A mean colour difference, of which there is none where no spectrum covers all that the eye sees."""
-    return "not known" if difference is None else f"{difference:.2f}"
+    return "not known" if difference is None else f"{difference:.2f}".replace("-", "−")
 
 
 def write_fits(store: Store, dataset_id: int, path: Path) -> Export:

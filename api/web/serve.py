@@ -74,9 +74,8 @@ def serve(
         host = f"[{listen.host}]" if ":" in listen.host else listen.host
         url = f"{'https' if tls else 'http'}://{host}:{listener.getsockname()[1]}"
         token = first_token(store) if access.loopback else None
-        if token is not None:
-            # to the terminal and not to the log, which is kept; "goniometer token create" makes another
-            print(f"Open {url}/#token={token}", flush=True)
+        # to the terminal and not to the log, which is kept; "goniometer token create" makes another token
+        print(f"Open {url}" if token is None else f"Open {url}/#token={token}", flush=True)
         store.close()
         with open_live(
             database,

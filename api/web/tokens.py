@@ -73,13 +73,13 @@ def create_token(live: Here, caller: Anybody, new: NewToken, request: Request, r
     role = new.role or caller.role
     if not at_least(caller.role, role):
         raise NotAllowed(f"{caller.name} has the role {caller.role} here, so no token for {role} can be made")
-    lifetime = None if new.days is None else timedelta(days=new.days)
+    expires = None if new.days is None else datetime.now(UTC) + timedelta(days=new.days)
     if caller.token_id is not None:
         end = tokens.token(live.store, caller.token_id).expires
         if end is not None:
-            left = datetime.fromisoformat(end) - datetime.now(UTC)
-            lifetime = left if lifetime is None else min(lifetime, left)
-    text, made = tokens.create_token(live.store, caller.name, new.label, role, lifetime)
+            last = datetime.fromisoformat(end)
+            expires = last if expires is None else min(expires, last)
+    text, made = tokens.create_token(live.store, caller.name, new.label, role, expires)
     request.state.about |= {"number": made.id, "label": made.label, "role": made.role, "expires": made.expires}
     response.headers["Cache-Control"] = "no-store"
     return MadeToken(token=text, **Token.model_validate(made).model_dump())

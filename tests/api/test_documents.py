@@ -20,8 +20,10 @@ import yaml
 from api.settings import load_instrument
 from goniometer.campaign import Campaign, Sample
 from goniometer.campaign_file import load_campaign
+from goniometer.certificate import Certificate
+from goniometer.certificate_file import parse_certificate
 from goniometer.tables import BENCH
-from tests.served import Served, served
+from tests.served import served
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -34,9 +36,9 @@ ONLY_READ = re.compile(
     | (demo|serve|run|characterise|abort|pause|resume)\b    # lasts, or wants a bench that runs
     | .*(theirs|raw)\.(json|csv|txt)\b            # files of somebody else
     | photos\b                                    # photographs that nobody took
-    | (choose|render|report|stability|tradeoff|simulate\ (surface|rays|waves|grating|photos))\b    # take long
+    | (choose|render|report|stability|tradeoff|simulate\ (surface|rays|waves|grating|material|photos))\b    # take long
     | export\ .*\b(mitsuba|package)\b            # take long
-    | .*--(cluster|database)\b                    # a cluster, or what a demo left behind
+    | .*--cluster\b                               # a cluster of somebody
     """,
     re.VERBOSE,
 )
@@ -48,7 +50,8 @@ ENDS_WITH = {'goniometer check "Sample 1"': 1}
 
 def blocks(document: Path, language: str) -> list[str]:
     """What stands between fences."""
-    return re.findall(rf"^```{language}\n(.*?)^```", document.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", document.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return [text for name, text in fenced if name == language]
 
 
 def lines(document: Path, program: str) -> list[str]:
@@ -63,8 +66,8 @@ def first_mentions() -> Iterator[tuple[str, list[str], list[str]]]:
     for document in DOCUMENTS:
         commands = [line for line in dict.fromkeys(lines(document, "goniometer")) if line not in seen]
         seen.update(commands)
-        snippets = [] if document.name == "simulated-laboratory.md" else blocks(document, "python")
-        if commands or snippets:
+        snippets = [text for text in blocks(document, "python") if SERVICE not in text]
+        if commands or (snippets and document.name != "simulated-laboratory.md"):  # whose own test is below
             yield document.name, commands, snippets
 
 
@@ -88,33 +91,30 @@ def test_what_the_documents_tell_people_to_type_works(
         done = cli(*arguments, *asked, cwd=folder, typed="correct horse battery\n" * 2)
         assert done.returncode == (0 if asked else ENDS_WITH.get(line, 0)), f"{line}\n{done.stdout}{done.stderr}"
     for snippet in snippets:
-        if SERVICE in snippet:
-            with served(folder) as service:
-                _python(snippet, folder, service)
-        else:
-            _python(snippet, folder, None)
+        assert python(snippet, folder)
 
 
-def _python(snippet: str, folder: Path, service: Served | None) -> None:
-    environment = dict(os.environ)
-    if service is not None:
-        snippet = snippet.replace(SERVICE, service.url)
-        environment["GONIOMETER_TOKEN"] = service.client.headers["Authorization"].removeprefix("Bearer ")
+def python(snippet: str, folder: Path, **environment: str) -> str:
+    """What it prints."""
     command = [sys.executable, "-W", "error::RuntimeWarning", "-c", snippet]
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
+    told = {"cwd": folder, "env": os.environ | environment, "capture_output": True, "text": True, "timeout": 300}
+    done = subprocess.run(command, **told, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout
+    return done.stdout
 
 
-def test_what_is_asked_of_the_service_with_curl_is_answered(folder: Path) -> None:
-    asked = [line for document in DOCUMENTS for line in lines(document, "curl")]
-    assert asked
+@pytest.mark.slow
+def test_what_the_documents_ask_of_the_service_is_answered(folder: Path) -> None:
+    urls = [shlex.split(line)[-1] for document in DOCUMENTS for line in lines(document, "curl")]
+    snippets = [text for document in DOCUMENTS for text in blocks(document, "python") if SERVICE in text]
+    assert urls
+    assert snippets
     with served(folder) as service:
-        for line in asked:
-            *_, url = shlex.split(line)
-            assert service.client.get(url.removeprefix(SERVICE)).status_code == 200, line
+        token = service.client.headers["Authorization"].removeprefix("Bearer ")
+        for url in urls:
+            assert service.client.get(url.removeprefix(SERVICE)).status_code == 200, url
+        for snippet in snippets:
+            assert python(snippet.replace(SERVICE, service.url), folder, GONIOMETER_TOKEN=token)
 
 
 def test_every_piece_of_a_campaign_in_the_documents_is_accepted() -> None:
@@ -136,12 +136,20 @@ def test_no_link_leads_nowhere_and_every_benchmark_that_is_named_is_there(docume
         assert importlib.util.find_spec(name) is not None, name
 
 
+def test_the_certificate_in_the_documents_is_one() -> None:
+    (text,) = blocks(ROOT / "docs" / "writing-a-campaign.md", "csv")
+    shown = parse_certificate(text, "panel.csv")
+    assert isinstance(shown, Certificate)
+    assert shown.reflectance_8h.tolist() == [0.981, 0.991, 0.990]
+
+
 def test_every_document_stands_in_the_index() -> None:
     index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
     pages = [path.name for path in (ROOT / "docs").glob("*.*") if path.suffix in {".md", ".yaml", ".toml", ".py"}]
     assert {name for name in pages if f"]({name})" not in index} == {"README.md"}
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_readme_can_be_drawn_anew(folder: Path) -> None:
     command = [sys.executable, "docs/picture.py", "goniometer.db", "Sample 1", "picture.svg"]
     subprocess.run(command, cwd=folder, capture_output=True, timeout=300, check=True)

@@ -40,6 +40,12 @@ def next_entry(store: Store, name: str) -> queue.Entry:
     return entry
 
 
+async def fits_end(runner: Runner) -> None:
+    """Return when no fits are made any more."""
+    if runner.fitting:
+        await asyncio.wait(runner.fitting.values())
+
+
 def runner_on(store: Store, tmp_path: Path, told: list[Told]) -> tuple[Runner, OperatedBench]:
     bench = OperatedBench(None, lambda: None)
     task = Task(tmp_path / "bench.db", tmp_path / "results", None, "http://localhost", True, bench="simulated")
@@ -57,7 +63,7 @@ def test_a_fault_of_the_program_in_a_calibration_or_a_fit_ends_the_entry_with_it
                 with monkeypatch.context() as broken:
                     broken.setattr(fitting, name, operator.truediv)  # a TypeError wherever it is called
                     await runner.run(entry)
-                    await asyncio.wait(runner.fitting.values())
+                    await fits_end(runner)
                 assert bench.phase == "ready"
                 ended = queue.entry(store, entry.id)
                 assert (ended.phase, ended.outcome) == ("finished", "failed")
@@ -68,7 +74,7 @@ def test_a_fault_of_the_program_in_a_calibration_or_a_fit_ends_the_entry_with_it
                 assert again is not None
                 entry = again
             await runner.run(entry)
-            await asyncio.wait(runner.fitting.values())
+            await fits_end(runner)
             ended = queue.entry(store, entry.id)
             assert (ended.outcome, ended.reason) == ("completed", "")
             assert any(fit.kind == "analysis" for fit in store.fits(1))
@@ -101,7 +107,7 @@ def test_the_next_campaign_is_measured_while_the_fits_of_the_one_before_are_made
             assert sum(scan.outcome == "completed" for scan in store.scans()) == 4
             assert [queue.entry(store, each.id).outcome for each in (first, second)] == [None, None]
             goes_on.set()
-            await asyncio.wait(runner.fitting.values())
+            await fits_end(runner)
             assert [queue.entry(store, each.id).outcome for each in (first, second)] == ["completed", "completed"]
             await bench.park()
 
@@ -147,13 +153,13 @@ def test_fits_that_are_let_go_of_or_aborted_leave_the_dataset_and_the_entry_to_b
                 seen = await asyncio.to_thread(abort_over_rest, entry.id)
                 assert (seen["phase"], seen["outcome"]) == ("finished", "aborted")
                 assert "starting it again makes them" in seen["reason"]
-                await asyncio.wait(runner.fitting.values())
+                await fits_end(runner)
                 assert bench.phase == "ready"
 
                 await again()
                 said = await asyncio.to_thread(CliRunner().invoke, app, ["abort", "--database", str(database)])
                 assert said.exit_code == 0, said.output
-                await asyncio.wait(runner.fitting.values())
+                await fits_end(runner)
                 assert queue.entry(store, entry.id).outcome == "aborted"
             assert store.fits(1) == []
             await bench.park()

@@ -184,5 +184,5 @@ def test_an_operator_sees_what_a_run_waits_for() -> None:
 def test_status_names_each_repeat(cli: Any, measured: tuple[Store, Path]) -> None:
     told = cli("status", "--database", "bench.db", cwd=measured[1]).stdout
     assert [line.split(":")[1].strip() for line in told.splitlines() if line.startswith("Repeats")] == [
-        *("reference", "Rough #1", "Rough #2", "Rough #3", "Other")
+        *("reference panel", "Rough #1", "Rough #2", "Rough #3", "Other")
     ]

@@ -44,12 +44,12 @@ class Benchmark:
 PROOFS = {
     "The bench and its drivers": (
         Benchmark("driver_overhead", 0.7),
-        Benchmark("fault_matrix", 1.7, "1"),
+        Benchmark("fault_matrix", 1, "1"),
         Benchmark("soak", 1, "500"),
         Benchmark("time_left", 0.5),
     ),
     "Measurements and their uncertainty": (
-        Benchmark("coverage", 1.1, "12"),
+        Benchmark("coverage", 2, "24"),
         Benchmark("corrections", 1),
         Benchmark("recalibration", 0.2),
     ),
@@ -72,7 +72,7 @@ PROOFS = {
         Benchmark("claims", 11, named=True),
     ),
     "Speed against accuracy, stability, and scenes": (
-        Benchmark("stability", 2, "3"),
+        Benchmark("stability", 3.2, "5"),
         Benchmark("choose", 2.4, "512"),
         Benchmark("scene_scan", 1.5, "1.0"),
     ),

@@ -125,7 +125,11 @@ def efficiency(pool: Executor, dask: Executor) -> None:
             f"{name:12} {middle:6.1f} s   speed-up {alone / middle:4.2f}   efficiency {alone / middle / many:4.2f}   "
             f"{busy:6.1f} s of processors, {100 * work / busy:3.0f} % work"
         )
-        tell(f"{len(wanted)} fits, {name}: efficiency", 100 * alone / middle / many, f"% of {many} ({middle:.1f} s)")
+        tell(
+            f"{len(wanted)} fits, {name}: efficiency",
+            100 * alone / middle / many,
+            f"% of {many} processors ({middle:.1f} s)",
+        )
 
 
 def overhead(name: str, executor: Executor) -> None:

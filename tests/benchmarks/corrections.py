@@ -122,7 +122,7 @@ def main() -> None:
     """Tell the bias without each over that with it."""
     for correction, (with_it, without) in table().items():
         what = f"{correction} on {SAMPLE_OF[correction]}: bias without over bias with the correction"
-        tell(what, without / with_it, f"({without:.2%} over {with_it:.2%})", "> 1")
+        tell(what, without / with_it, f"({100 * without:.2f} % over {100 * with_it:.2f} %)", "> 1")
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def write(proofs: Mapping[str, Iterable[str]], outcomes: Mapping[str, Outcome]) 
         "# What was measured",
         "Written by `python -m tests.benchmarks`; please do not edit. `python -m tests.benchmarks NAME ...` runs some "
         "of the benchmarks again and leaves all other figures, with their dates. Every figure was printed by the "
-        "command above it. Sizes were chosen so that all takes less than 40 minutes on two idle cores; the text of "
+        "command above it. Sizes were chosen so that all takes about 40 minutes on two idle cores; the text of "
         "each benchmark says how to ask for more. Clock times depend on what else the machine did, which `load` tells.",
         *(f"Machine{f' {number}' * (len(machines) > 1)}: {each}." for number, each in enumerate(machines, 1)),
         *_summary(outcomes),

@@ -1,11 +1,14 @@
 """Whether the web server slows a scan down, and whether it answers in time, under more listeners than there will be.
 
-A campaign runs on the simulated bench, as fast as the computer can, while nobody listens, while 50 streams of events
-and 200 requests a second come from a process of their own, and while a process that has nothing to do with it computes
-for as long as server and clients did; by turns, so that whatever else the computer does meets them alike. The last says
-what any program costs a scan that takes all that two cores give; a real bench waits for its stages. What a point costs
-the process that drives the bench is told in CPU time as well, and so is what the server needs for each request and for
-the streams.
+A campaign runs on the simulated bench while nobody listens, while 50 streams of events and 200 requests a second come
+from a process of their own, and while that load comes and a dataset as well, in which the service fills what lacks; by
+turns, so that whatever else the computer does meets them alike.
+
+First the bench takes all that the computer gives, so anything costs it something: there is a turn with a process that
+has nothing to do with the service and computes for as long as server and clients did. Then it takes its time as a real
+one does, which waits for its stages and exposures; what it falls behind is told by the seconds that pass on the bench,
+for one direction is farther away than another. What a point costs the process that drives the bench is told in CPU time
+as well, and so is what the server needs for each request and for the streams.
 
     python -m tests.benchmarks.service_load
 """
@@ -21,28 +24,82 @@ import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import httpx
 import numpy as np
 
+from drivers.arrays import FloatArray
+from goniometer.store import Store
 from tests.benchmarks.figures import tell
+from tests.drawn_dataset import drawn_dataset
 from tests.served import LONG
 
 STREAMS = 50
 REQUESTS = 200
 """A second."""
 CONNECTIONS = 20
-TURN = 5.0
-"""Seconds of each turn."""
-TURNS = 4
-"""Of each kind."""
-KINDS = ("nobody listens", f"{STREAMS} streams, {REQUESTS} requests/s", "another program instead")
+ALONE, LOADED = "nobody listens", f"{STREAMS} streams, {REQUESTS} requests/s"
+COMES, OTHER = f"{LOADED}, a dataset comes", "another program instead"
 PATHS = ("/api/instrument", "/api/instrument", "/api/queue", "/api/scans", "/api/scans/1/points?limit=50")
 SINGLY = 400
 """Requests of each path from which its cost is known."""
 CAMPAIGN = LONG | {"samples": [{"name": "Sample 1", "material": "sample-1", "repeats": 20}]}
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast the bench is, and what happens by turns."""
+
+    name: str
+    command: tuple[str, str]
+    """What makes Python the command line."""
+    kinds: tuple[str, ...]
+    seconds: float
+    """Of each turn."""
+    turns: int
+    """Of each kind."""
+    begun: int
+    """Points after which it begins."""
+    by_time: bool
+    """Whether the time that passes on the bench says how fast it is, and not the number of points."""
+
+
+_PLAIN = "-c", "from api.commands.main import main; main()"
+_PACED = "-m", "tests.benchmarks.paced_bench"
+PACES = (
+    Pace("a bench that waits for nothing", _PLAIN, (ALONE, LOADED, COMES, OTHER), 7.0, 3, 200, False),
+    Pace("a bench that waits for its stages and exposures", _PACED, (ALONE, LOADED), 20.0, 2, 5, True),
+)
+
+
+@dataclass
+class Seen:
+    """What all turns of a kind have seen together."""
+
+    seconds: float = 0.0
+    points: int = 0
+    bench_seconds: float = 0.0
+    """That passed on the bench."""
+    bench: float = 0.0
+    """Seconds that the process computed which drives it."""
+    server: float = 0.0
+    """Seconds that the server computed."""
+    needed: float = 0.0
+    """The same, from before the clients came until they had gone."""
+    clients: float = 0.0
+    """Seconds that the clients computed."""
+    events: int = 0
+    """That all streams saw."""
+    latencies: dict[str, list[float]] = field(default_factory=lambda: {path: [] for path in PATHS})
+    """Seconds."""
+
+    @property
+    def asked(self) -> float:
+        """Seconds for which there was load."""
+        return sum(map(len, self.latencies.values())) / REQUESTS
 
 
 async def answer(reader: asyncio.StreamReader) -> int:
@@ -152,132 +209,159 @@ def spent(process: int, seconds: float) -> float:
     return cpu(process) - before
 
 
-def points(database: Path) -> int:
-    """Points that are measured."""
-    with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
-        return int(connection.execute("SELECT count(*) FROM points WHERE status = 'done'").fetchone()[0])
+def done(database: Path) -> tuple[int, float]:
+    """Points that are measured, and seconds that they took on the bench."""
+    with contextlib.closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        count, seconds = connection.execute(
+            "SELECT count(*), total(seconds) FROM points WHERE status = 'done'"
+        ).fetchone()
+    return int(count), float(seconds)
+
+
+def at_a_point(database: Path, processes: tuple[int, int]) -> FloatArray:
+    """When the next point is done: seconds, points, seconds on the bench, and those that two processes computed."""
+    before = done(database)
+    while (now := done(database)) == before:
+        time.sleep(0.01)
+    return np.array([time.monotonic(), *now, *map(cpu, processes)])
 
 
 def main() -> None:
-    """Print the table."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        command = [sys.executable, "-c", "from api.commands.main import main; main()", "serve", "--port", "0"]
-        command += ["--mount-by-itself", "-d", str(folder / "bench.db"), "-o", str(folder / "results")]
-        with (folder / "log").open("w") as log:
-            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
-        try:
-            assert process.stdout is not None
-            url, _, token = process.stdout.readline().split()[1].partition("/#token=")
-            measure(folder / "bench.db", url, token, process.pid)
-        finally:
-            process.terminate()
-            process.wait()
+    """Print the tables."""
+    for pace in PACES:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            command = [sys.executable, *pace.command, "serve", "--port", "0", "--mount-by-itself"]
+            command += ["-d", str(folder / "bench.db"), "-o", str(folder / "results")]
+            with (folder / "log").open("w") as log:
+                process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+            try:
+                assert process.stdout is not None
+                url, _, token = process.stdout.readline().split()[1].partition("/#token=")
+                measure(pace, folder / "bench.db", url, token, process.pid)
+            finally:
+                process.terminate()
+                process.wait()
 
 
-def measure(database: Path, url: str, token: str, server: int) -> None:
-    """Run the campaign, and the turns with and without load."""
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    clients = context.Process(target=loading, args=(there, int(url.rpartition(":")[2]), token), daemon=True)
-    clients.start()
-    with httpx.Client(
-        base_url=url, headers={"Authorization": f"Bearer {token}"}, trust_env=False, timeout=60
-    ) as client:
+def begin(pace: Pace, database: Path, url: str, token: str, server: int) -> int:
+    """Begin the campaign; returns the process that drives the bench."""
+    headers = {"Authorization": f"Bearer {token}"}
+    with httpx.Client(base_url=url, headers=headers, trust_env=False, timeout=60) as client:
         while True:
-            with contextlib.suppress(httpx.ConnectError):
+            with contextlib.suppress(httpx.TransportError):
                 if client.get("/api/instrument").json()["driver"]:
                     break
             time.sleep(0.2)
         number = client.post("/api/queue", json={"campaign": CAMPAIGN}).raise_for_status().json()["id"]
         client.post(f"/api/queue/{number}/start").raise_for_status()
-        while points(database) < 200:  # the bench is open, and the pace is even
+        while done(database)[0] < pace.begun:  # the bench is open, and the pace is even
             time.sleep(0.5)
         while spent(server, 1.0) > 0.1:  # it loads what views of datasets need
             pass
-        bench = client.get("/api/instrument").json()["driver"]["process"]
-    rows: dict[str, list[tuple[int, float, float, float]]] = {kind: [] for kind in KINDS}
-    latencies: dict[str, list[float]] = {path: [] for path in PATHS}
-    events, client_cpu, needed, other = 0, 0.0, 0.0, None
-    for turn in range(len(KINDS) * TURNS):
-        kind = KINDS[turn % len(KINDS)]
-        before = cpu(server)
-        if kind == KINDS[1]:
-            here.send(TURN + 1)
-        elif kind == KINDS[2]:
-            other = context.Process(target=compute, args=((needed + client_cpu) / asked(latencies),), daemon=True)
+        return int(client.get("/api/instrument").json()["driver"]["process"])
+
+
+def measure(pace: Pace, database: Path, url: str, token: str, server: int) -> None:
+    """Run the campaign, and the turns with and without load."""
+    port = int(url.rpartition(":")[2])
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    clients = context.Process(target=loading, args=(there, port, token), daemon=True)
+    clients.start()
+    processes = begin(pace, database, url, token, server), server
+    store = Store.open(database)
+    coming = [drawn_dataset("sample-4", seed=turn) for turn in range(pace.turns)]
+    seen = {kind: Seen() for kind in pace.kinds}
+    for turn in range(len(pace.kinds) * pace.turns):
+        kind = pace.kinds[turn % len(pace.kinds)]
+        all_of_it, before, other = seen[kind], cpu(server), None
+        if kind in {LOADED, COMES}:
+            here.send(pace.seconds + 1)
+        elif kind == OTHER:
+            loaded = seen[LOADED]
+            share = (loaded.needed + loaded.clients) / loaded.asked
+            other = context.Process(target=compute, args=(share,), daemon=True)
             other.start()
+        if kind == COMES:  # at once, for the service looks every few seconds for what has come
+            store.add_dataset(None, coming.pop())
         time.sleep(1)
-        began = time.monotonic(), points(database), cpu(bench), cpu(server)
-        time.sleep(TURN)
-        ended = time.monotonic(), points(database), cpu(bench), cpu(server)
-        rows[kind].append((ended[1] - began[1], ended[0] - began[0], ended[2] - began[2], ended[3] - began[3]))
-        if kind == KINDS[1]:
-            told, seen, computed = here.recv()
-            events, client_cpu, needed = events + seen, client_cpu + computed, needed + cpu(server) - before
+        began = at_a_point(database, processes)
+        time.sleep(pace.seconds)
+        seconds, points, bench_seconds, bench, served = at_a_point(database, processes) - began
+        all_of_it.seconds += seconds
+        all_of_it.points += int(points)
+        all_of_it.bench_seconds += bench_seconds
+        all_of_it.bench += bench
+        all_of_it.server += served
+        if kind in {LOADED, COMES}:
+            told, events, computed = here.recv()
+            all_of_it.events += events
+            all_of_it.clients += computed
+            all_of_it.needed += cpu(server) - before
             for path, values in told.items():
-                latencies[path] += values
+                all_of_it.latencies[path] += values
         elif other is not None:
             other.kill()
             other.join()
-            other = None
+    store.close()
     here.send(None)
     clients.join()
-    show(rows, latencies, events)
-    loaded = asked(latencies)
-    print(f"\nCPU time of {loaded:.0f} s of load: server {needed:.1f} s, clients {client_cpu:.1f} s", end="")
-    print(f" ({100 * needed / loaded:.0f} % and {100 * client_cpu / loaded:.0f} % of a core)\n")
-    show_costs(server, int(url.rpartition(":")[2]), token)
-
-
-def asked(latencies: dict[str, list[float]]) -> float:
-    """Seconds for which there was load."""
-    return sum(map(len, latencies.values())) / REQUESTS
+    show(pace, seen)
+    if not pace.by_time:
+        show_costs(server, port, token)
 
 
 def show_costs(server: int, port: int, token: str) -> None:
     """Print what the server computes for a request and for the streams, while the campaign goes on."""
-    idle = spent(server, TURN) / TURN
+    idle = spent(server, 5.0) / 5.0
     for path in dict.fromkeys(PATHS):
         began = time.monotonic(), cpu(server)
         asyncio.run(one_by_one(port, token, path))
         needed = cpu(server) - began[1] - idle * (time.monotonic() - began[0])
         print(f"{path:34} {1000 * needed / SINGLY:6.2f} ms CPU a request")
     began = time.monotonic(), cpu(server)
-    seen = asyncio.run(listen_only(port, token, 2 * TURN))
+    heard = asyncio.run(listen_only(port, token, 10.0))
     needed = cpu(server) - began[1] - idle * (time.monotonic() - began[0])
-    print(f"{'event of a stream':34} {1000 * needed / seen:6.3f} ms CPU, with {STREAMS} that hear it")
+    print(f"{'event of a stream':34} {1000 * needed / heard:6.3f} ms CPU, with {STREAMS} that hear it\n")
 
 
-def show(
-    rows: dict[str, list[tuple[int, float, float, float]]],
-    latencies: dict[str, list[float]],
-    events: int,
-) -> None:
+def show(pace: Pace, seen: dict[str, Seen]) -> None:
     """Print what was measured."""
-    print(
-        f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {TURNS} turns of {TURN:g} s of each kind\n"
-    )
-    print(f"{'':28} {'points/s':>9} {'falls by':>9} {'bench CPU ms/point':>19} {'bench CPU':>10} {'server CPU':>11}")
+    print(f"{pace.name}; load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; ", end="")
+    print(f"{pace.turns} turns of {pace.seconds:g} s of each kind\n")
+    print(f"{'':50} {'points/s':>9} {'falls by':>9} {'bench CPU ms/point':>19} {'bench CPU':>10} {'server CPU':>11}")
     alone = None
-    for kind in KINDS:
-        done, seconds, bench, server = np.array(rows[kind]).sum(axis=0)
-        alone = alone or done / seconds
+    for kind, each in seen.items():
+        speed = (each.bench_seconds if pace.by_time else each.points) / each.seconds
+        alone = alone or speed
+        falls = 100 * (1 - speed / alone)
         print(
-            f"{kind:28} {done / seconds:9.1f} {100 * (1 - done / seconds / alone):7.1f} % {1000 * bench / done:19.2f} "
-            f"{100 * bench / seconds:8.0f} % {100 * server / seconds:9.0f} %"
+            f"{kind:50} {each.points / each.seconds:9.2f} {falls:7.1f} % {1000 * each.bench / each.points:19.2f} "
+            f"{100 * each.bench / each.seconds:8.0f} % {100 * each.server / each.seconds:9.0f} %"
         )
-        if kind == KINDS[0]:
-            tell("points a second while nobody listens", alone)
+        if kind == ALONE:
+            tell(f"{pace.name}: points a second while nobody listens", each.points / each.seconds)
         else:
-            aim, because = ("< 5", "the simulated bench takes all of a core") if kind == KINDS[1] else ("", "")
-            tell(f"{kind}: points a second fall by", 100 * (1 - done / seconds / alone), "%", aim, because)
-    print(f"a stream saw {events / TURNS / STREAMS:.0f} events a turn\n")
-    print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
-    for path, values in latencies.items():
-        median, high, worst = 1000 * np.percentile(values, [50, 99, 100])
-        print(f"{path:34} {len(values):9} {median:8.1f} {high:8.1f} {worst:8.1f}")
-        tell(f"`{path}`, 99 %", high, f"ms (worst {worst:.0f})", "< 50")
+            aim, because = ("< 5", "it takes all that two cores give") if kind == LOADED else ("", "")
+            tell(f"{pace.name}, {kind}: falls by", falls, "%", aim, because)
+    print()
+    for kind, each in seen.items():
+        if not each.events:
+            continue
+        loaded = each.asked
+        print(
+            f"{kind}: a stream saw {each.events / pace.turns / STREAMS:.0f} events a turn; CPU time of {loaded:.0f} s:"
+        )
+        print(
+            f"the server computed {100 * each.needed / loaded:.0f} %, the clients {100 * each.clients / loaded:.0f} %"
+        )
+        print(f"{'latency, ms':34} {'requests':>9} {'median':>8} {'99 %':>8} {'worst':>8}")
+        for path, values in each.latencies.items():
+            median, high, worst = 1000 * np.percentile(values, [50, 99, 100])
+            print(f"{path:34} {len(values):9} {median:8.1f} {high:8.1f} {worst:8.1f}")
+            tell(f"{pace.name}, {kind}: `{path}`, 99 %", high, f"ms (worst {worst:.0f})", "< 50")
+        print()
 
 
 if __name__ == "__main__":
