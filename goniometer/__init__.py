@@ -8,7 +8,7 @@ the bench               instrument, arm, moves, route, safety, geometry, track, 
 the bench measured      characterise, characterisation, alignment, lines, peaks
 where to measure        plan, plan_spec, batches, refinement, interpolant, kernel, lobe, angular, learning,
                         colour_error, prescan, sweep
-how a scan is run       scheduler, auxiliary, waiting, progress, estimate, duration, provisional
+how a scan is run       scheduler, auxiliary, waiting, progress, estimate, duration
 from counts to 1/sr     raw, signal, scatter, drift, response, reference, certificate, certificate_file,
                         calibration, footprint, provisional
 uncertainty             sources, uncertainty, budget
