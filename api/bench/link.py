@@ -17,6 +17,7 @@ from typing import Any
 import api.errors
 import drivers.errors
 import goniometer.errors
+import simulators.errors
 from api.access.audit import record_done
 from api.bench.lease import pass_on_stop
 from api.bench.operated import set_point
@@ -199,7 +200,7 @@ class Link:
                 if refusal is None:
                     answer.set_result(value)
                 else:
-                    answer.set_exception(_error(*refusal))
+                    answer.set_exception(error_named(*refusal))
 
     def _tell(self, state: BenchState) -> None:
         self._state, self.shown = state, state.model_dump_json()
@@ -235,9 +236,9 @@ def _unknown(task: Task) -> BenchState:
     )
 
 
-def _error(name: str, message: str) -> Exception:
+def error_named(name: str, message: str) -> Exception:
     """The error that the other process has raised."""
-    for module in (api.errors, goniometer.errors, drivers.errors):
+    for module in (api.errors, simulators.errors, goniometer.errors, drivers.errors):
         kind = getattr(module, name, None)
         if kind is not None and kind is not goniometer.errors.BenchUnfit:  # which is made from its lines
             error: GoniometerError | DriverError = kind(message)
