@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 
 from analysis.fresnel import fresnel_conductor, load_conductor
 from api import cluster as api_cluster
+from api.access.accounts import add_user
+from api.access.tokens import create_token
 from api.cluster import connected, difference, software
 from api.errors import ClusterError, VersionsDiffer
 from api.executor import processes
-from api.results.products import fit_datasets
+from api.results.products import fit_dataset, fit_datasets
+from api.web.live import open_live
 from goniometer.errors import InputError
 from goniometer.store import Store
 from simulators.choices import Kernel
@@ -31,7 +34,9 @@ from simulators.rays import terrain
 from simulators.topography import topography
 from simulators.wave_scan import Setup, choose_patches
 from simulators.wave_simulation import simulate
+from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
+from tests.served import wait_for
 
 NM = np.arange(420.0, 701, 40)
 INDEX = load_conductor().index(NM)
@@ -157,6 +162,32 @@ def test_a_command_says_the_same_with_a_cluster_as_without(cluster: LocalCluster
     here, there = cli(*asked, cwd=tmp_path), cli("--cluster", cluster.scheduler_address, *asked, cwd=tmp_path)
     assert (there.returncode, there.stderr) == (0, "")
     assert there.stdout == here.stdout
+
+
+@pytest.mark.slow
+def test_a_service_has_its_fits_made_on_the_cluster_and_stores_what_it_would_have_found_itself(
+    cluster: LocalCluster, tmp_path: Path
+) -> None:
+    def tasks() -> int:
+        """Done by the cluster so far."""
+        return sum(str(key).startswith("_run") and state == "memory" for key, _, state, *_ in log)
+
+    log = cluster.scheduler.transition_log
+    before = tasks()
+    with open_live(tmp_path / "bench.db", tmp_path, cluster=cluster.scheduler_address) as live:
+        number = live.store.add_dataset(None, drawn_dataset("sample-1"))
+        add_user(live.store, "anna", "operator", None)
+        client = Client(live)
+        client.headers["Authorization"] = f"Bearer {create_token(live.store, 'anna', 'test')[0]}"
+        asked = client.post(f"/api/datasets/{number}/fits", {"model": "global"})
+        assert asked.status_code == 202, asked.text
+        path = f"/api/jobs/{asked.json()['id']}"
+        job = wait_for(lambda: (now := client.get(path).json())["finished"] and now)
+        assert (job["state"], job["reason"]) == ("done", "")
+        assert tasks() == before + 1
+        fit_dataset(live.store, number, "global")
+        there, here = live.store.fits(number)
+    assert there.text == here.text
 
 
 @pytest.mark.slow
