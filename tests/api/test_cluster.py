@@ -172,6 +172,7 @@ def test_a_service_has_its_fits_made_on_the_cluster_and_stores_what_it_would_hav
         """Done by the cluster so far."""
         return sum(str(key).startswith("_run") and state == "memory" for key, _, state, *_ in log)
 
+    assert cluster.scheduler is not None  # it has started
     log = cluster.scheduler.transition_log
     before = tasks()
     with open_live(tmp_path / "bench.db", tmp_path, cluster=cluster.scheduler_address) as live:
