@@ -99,7 +99,7 @@ def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:
         points_done=sum(done.values()),
         points_expected=expected,
         remaining=remaining,
-        pause_takes_effect=_pause(active, running),
+        pause_takes_effect=_pause(active, running, prompt),
         prompt=prompt,
     )
 
@@ -114,10 +114,12 @@ def _phase(entry: queue.Entry, scans: list[Scan], active: Scan | None) -> EntryP
             return "running"
 
 
-def _pause(active: Scan | None, running: Running | None) -> str | None:
+def _pause(active: Scan | None, running: Running | None, prompt: Prompt | None) -> str | None:
     """When a pause takes effect that is asked for now."""
     if active is None or running is None or active.phase not in {"running", "pausing"}:
         return None
+    if prompt is not None:
+        return "once it is mounted"
     if not running.done:
         return "after this point"
     return f"after this point, about {duration(running.bench_elapsed / running.done)}"

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-PATIENCE = 120.0
+PATIENCE = 600.0
 """Seconds after which a process that should have got somewhere is called stuck."""
 
 

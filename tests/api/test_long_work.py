@@ -18,11 +18,13 @@ from api import calls
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.client import Client as PythonClient
+from api.jobs import rows
 from api.jobs.arguments import DoctorArguments
 from api.results.choose import choice_content, choose_model
 from api.results.products import report_dataset
 from api.results.tradeoff import Kind, charts
 from api.web.live import Live, open_live
+from goniometer.database import Database
 from goniometer.store import Store
 from simulators.ensemble import cells, ensemble, jobs
 from tests.api.service_client import Client
@@ -127,13 +129,22 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield service
 
 
-def test_the_doctor_is_a_job_that_tells_how_far_it_is_and_can_be_stopped(bench: Served) -> None:
+def test_the_doctor_is_a_job_that_tells_how_far_it_is_and_can_be_stopped(
+    bench: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, told = rows.tell, set()
+
+    def seen(database: Database, job_id: int, share: float | None, words: str) -> None:
+        written(database, job_id, share, words)
+        told.add(bench.client.get(f"/api/jobs/{job_id}").json()["words"])
+
+    monkeypatch.setattr(rows, "tell", seen)
     with PythonClient(bench.url, bench.client.headers["Authorization"].removeprefix("Bearer ")) as client:
         number = client(calls.doctor(DoctorArguments(home=True))).id
-    told = set()
-    while (job := bench.client.get(f"/api/jobs/{number}").json())["state"] in {"waiting", "running"}:
-        told.add(job["words"])
-    assert told & {"Opening all devices", "Opened 1 of 3 devices", "Opened 2 of 3 devices", "Examining all devices"}
+    job = wait_for(
+        lambda: (now := bench.client.get(f"/api/jobs/{number}").json())["state"] not in {"waiting", "running"} and now
+    )
+    assert told >= {"Opening all devices", "Opened 1 of 3 devices", "Opened 2 of 3 devices", "Examining all devices"}
     assert (job["state"], job["reason"], job["title"]) == ("done", "", "Examine every device")
     found = bench.client.get(f"/api/jobs/{number}/result").json()
     assert found["fit"] is True

@@ -65,6 +65,7 @@ WHO_MAY: dict[str, Role | None] = {
     "GET /api/scans": "viewer",
     "GET /api/scans/{number}": "viewer",
     "GET /api/scans/{number}/points": "viewer",
+    "GET /api/scans/{number}/brdf": "viewer",
     "GET /api/points/{number}": "viewer",
     "GET /api/exposures/{number}": "viewer",
     "POST /api/uploads": "operator",

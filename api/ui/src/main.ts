@@ -8,4 +8,7 @@ import { start as colour } from './lib/theme.svelte';
 colour();
 followLinks();
 void begin();
+addEventListener('hashchange', () => {
+  if (location.hash.startsWith('#token=')) void begin(); // pasted into a page that is open
+});
 mount(App, { target: document.getElementById('app')! });

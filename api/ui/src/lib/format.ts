@@ -4,6 +4,7 @@
 export const UNNAMED = 'bench';
 
 const MINUS = '\u2212';
+const RAISED: Record<string, string> = { '-': '⁻', '0': '⁰', '1': '¹', '2': '²', '3': '³', '4': '⁴', '5': '⁵', '6': '⁶', '7': '⁷', '8': '⁸', '9': '⁹' };
 
 export function number(value: number | null | undefined, digits = 2): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return '–';
@@ -15,7 +16,7 @@ export function significant(value: number | null | undefined, figures = 3): stri
   if (value === null || value === undefined || !Number.isFinite(value)) return '–';
   const size = Math.abs(value);
   const text = size !== 0 && (size < 1e-4 || size >= 1e5) ? value.toExponential(figures - 1) : String(Number(value.toPrecision(figures)));
-  return text.replaceAll('-', MINUS);
+  return text.replace(/e\+?(-?\d+)$/, (_, power: string) => ` × 10${[...power].map((each) => RAISED[each]).join('')}`).replaceAll('-', MINUS);
 }
 
 /** `1.234(12)`: the last two figures of the standard uncertainty in brackets. */
