@@ -103,6 +103,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
             state(page, "Paus")
             page.reload()
             state(page, "Paused")
+            assert page.get_by_text("Nothing is waiting").count() == 0, "said before the queue was read"
             look("paused")
             done = page.get_by_text(re.compile(r"\d+ of about \d+ points")).inner_text()
 

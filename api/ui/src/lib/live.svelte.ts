@@ -14,6 +14,8 @@ export interface Page<T> {
 class Live {
   bench = $state<Bench | null>(null);
   queue = $state<Entry[]>([]);
+  /** Whether the queue was ever read; before, nobody knows that it is empty. */
+  queueRead = $state(false);
   connected = $state(false);
   problem = $state<Problem | null>(null);
   /** Grows with every spectrum that was read; a view that shows it asks anew. */
@@ -44,6 +46,7 @@ async function readBench(): Promise<void> {
 export async function readQueue(): Promise<void> {
   try {
     live.queue = (await get<Page<Entry>>('/api/queue?limit=200')).items;
+    live.queueRead = true;
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
     live.problem = error;
