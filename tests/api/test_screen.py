@@ -95,9 +95,9 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
 
             expect(page.get_by_text("Mount", exact=False).first).to_be_visible()
             look("mount")
-            page.get_by_role("button", name="It is mounted").click()
+            page.get_by_role("button", name="It is mounted", exact=True).click()
             expect(page.get_by_text("Mount Sample 1").first).to_be_visible()
-            page.get_by_role("button", name="It is mounted").click()
+            page.get_by_role("button", name="It is mounted", exact=True).click()
             state(page, "Sample 1")
             page.get_by_role("button", name=re.compile("^Pause")).click()
             state(page, "Paus")
@@ -114,7 +114,7 @@ def test_a_first_time_operator_measures_a_sample_and_takes_the_result_home(tmp_p
             expect(page.get_by_role("button", name="Go on")).to_be_visible()
             assert page.get_by_text(re.compile(r"\d+ of about \d+ points")).inner_text() == done
             page.get_by_role("button", name="Go on").click()
-            page.get_by_role("button", name="It is mounted").click()
+            page.get_by_role("button", name="It is mounted", exact=True).click()
             page.get_by_role("link", name="Bench").click()
             state(page, "Measuring")
             expect(page.get_by_label("Raw counts of the last spectrum against wavelength")).to_be_visible()
