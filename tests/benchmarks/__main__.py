@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import timeit
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
@@ -112,7 +113,8 @@ def run(benchmark: Benchmark) -> Outcome:
     """Run a benchmark in a process of its own, show what it prints, and keep its figures."""
     setting = dict(each.split("=") for each in benchmark.environment.split())
     command = [sys.executable, "-m", f"tests.benchmarks.{benchmark.name}", *shlex.split(benchmark.arguments)]
-    load, began, used = os.getloadavg()[0], time.monotonic(), _processors()
+    load, pace = os.getloadavg()[0], 1000 * min(timeit.repeat("x += 1", "x = 0", number=10**6, repeat=3))
+    began, used = time.monotonic(), _processors()
     process = subprocess.Popen(
         command, cwd=ROOT, env=os.environ | setting, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -136,7 +138,7 @@ def run(benchmark: Benchmark) -> Outcome:
         failure = f"it had not ended after {longest:.0f} minutes"
     minutes, processors = (time.monotonic() - began) / 60, (_processors() - used) / 60
     today = date.today().isoformat()
-    return Outcome(benchmark.command, today, commit(), machine(), load, minutes, processors, rows, failure)
+    return Outcome(benchmark.command, today, commit(), machine(), load, minutes, processors, rows, failure, pace)
 
 
 def _processors() -> float:

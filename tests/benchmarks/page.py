@@ -35,6 +35,8 @@ class Outcome:
     """Figures, as rows of a table."""
     failure: str
     """Why it is not to be trusted; empty where it ended well."""
+    pace: float | None = None
+    """Milliseconds of a million additions in Python when it began: how fast the machine was."""
 
 
 def machine() -> str:
@@ -63,7 +65,8 @@ def write(proofs: Mapping[str, Iterable[str]], outcomes: Mapping[str, Outcome]) 
         "Written by `python -m tests.benchmarks`; please do not edit. `python -m tests.benchmarks NAME ...` runs some "
         "of the benchmarks again and leaves all other figures, with their dates. Every figure was printed by the "
         "command above it. Sizes were chosen so that all takes about 40 minutes on two idle cores; the text of "
-        "each benchmark says how to ask for more. Clock times depend on what else the machine did, which `load` tells.",
+        "each benchmark says how to ask for more. Clock times depend on what else the machine did, which `load` tells, "
+        "and on how fast it was: `pace` is the time of a million additions in Python on one core.",
         *(f"Machine{f' {number}' * (len(machines) > 1)}: {each}." for number, each in enumerate(machines, 1)),
         *_summary(outcomes),
     ]
@@ -99,7 +102,7 @@ def _section(name: str, outcome: Outcome | None, machines: list[str]) -> list[st
     when = (
         f"{outcome.date}, code {outcome.commit}, {outcome.minutes:.1f} min, {outcome.processors:.1f} min of processors"
     )
-    when += f", load {outcome.load:.1f} before"
+    when += f", load {outcome.load:.1f} before" + (f", pace {outcome.pace:.0f} ms" if outcome.pace else "")
     where = f", machine {machines.index(outcome.machine) + 1}" if len(machines) > 1 else ""
     failure = [f"**Failed**: {outcome.failure}."] if outcome.failure else []
     table = ["\n".join([HEAD, *outcome.rows])] if outcome.rows else []
