@@ -58,8 +58,10 @@ def test_fits_of_the_bench_come_out_right_by_every_engine_at_all_wavelengths() -
 
 
 @pytest.mark.slow
-def test_more_rays_and_finer_transforms_err_less() -> None:
-    field = topography("gaussian:0.5:4", 256, 0.25, 1, micro=False).field
+def test_more_rays_and_finer_transforms_err_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tradeoff_simulations, "RAYS", (1_000, 10_000))
+    monkeypatch.setattr(tradeoff_simulations, "REFERENCE_RAYS", 100_000)
+    field = topography("gaussian:0.5:4", 64, 0.25, 1, micro=False).field
     rays, sums, waves = simulation_charts("made", field, 1, lambda _: None)
     errors = [choice.error for choice in rays.choices]
     assert errors[-1] < 0.5 * errors[0]
