@@ -23,7 +23,8 @@ from api.settings import InstrumentSettings
 from drivers.errors import DriverError
 from goniometer.errors import CampaignError, GoniometerError, NotInStore, RunAborted, StoreError
 from goniometer.progress import Progress
-from goniometer.records import Outcome, Scan, now
+from goniometer.records import Scan, now
+from goniometer.states import Outcome
 from goniometer.store import Store
 
 REPORT_EVERY = 0.1

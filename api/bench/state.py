@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from api.events import EventKind
 from drivers.arrays import CountArray, FloatArray
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.records import Kind, Phase
+from goniometer.states import Kind, Phase
 
 BenchPhase = Literal["disconnected", "connecting", "ready", "busy", "running", "stopping"]
 """What the bench is at: nothing open, opening, waiting for orders, doing one, measuring a campaign, being stopped."""

@@ -8,7 +8,8 @@ from goniometer import look_up
 from goniometer.drift import REFERENCE_WAVELENGTH, lamp_series
 from goniometer.errors import CalibrationError
 from goniometer.raw import read_raw
-from goniometer.records import ExposureKind, Outcome, Phase, Scan
+from goniometer.records import Scan
+from goniometer.states import ExposureKind, Outcome, Phase
 from goniometer.store import Store
 
 _OF_THE_LAMP: tuple[ExposureKind, ...] = ("dark", "monitor")

@@ -13,8 +13,9 @@ from goniometer.drift import lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.look_up import detector_temperatures
 from goniometer.raw import read_raw
-from goniometer.records import Kind, Scan
+from goniometer.records import Scan
 from goniometer.signal import linear
+from goniometer.states import Kind
 from goniometer.store import Store
 
 BANDS_NM = (450.0, 600.0, 750.0)

@@ -15,7 +15,7 @@ from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
 from api.web.queue_view import EntryView, entry_view
 from goniometer.errors import NotInStore
-from goniometer.records import ACTIVE_PHASES, Command
+from goniometer.states import ACTIVE_PHASES, Command
 
 router = APIRouter(prefix="/api/queue", tags=["queue"])
 

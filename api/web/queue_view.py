@@ -14,8 +14,9 @@ from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.duration import DEAD_TIME
 from goniometer.plan_spec import ORDINARY
-from goniometer.records import ACTIVE_PHASES, Expected, Kind, Outcome, Scan
+from goniometer.records import Expected, Scan
 from goniometer.route import Motion
+from goniometer.states import ACTIVE_PHASES, Kind, Outcome
 
 EntryPhase = Literal["idle", "queued", "running", "pausing", "paused", "aborting", "fitting", "finished"]
 """As in the database, and what the scan that is measured does; "fitting": all is measured, and the bench is free."""

@@ -14,7 +14,8 @@ from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, etag, page, unchanged
 from goniometer import look_up
 from goniometer.look_up import NONE, Counts
-from goniometer.records import Command, Exposure, ExposureKind, Kind, Outcome, Phase, Point, Scan, Status
+from goniometer.records import Exposure, Point, Scan
+from goniometer.states import Command, ExposureKind, Kind, Outcome, Phase, Status
 
 router = APIRouter(prefix="/api", tags=["scans"])
 
