@@ -21,12 +21,11 @@ import api.errors
 import drivers.errors
 import goniometer.errors
 from api import calls
+from api.bodies.base import Page
+from api.bodies.jobs import OPEN, JobView
+from api.bodies.service import PROBLEM, Problem
 from api.call import Call
 from api.errors import ServiceError
-from api.jobs.rows import OPEN
-from api.jobs.view import JobView
-from api.web.paging import Page
-from api.web.problems import MEDIA_TYPE, Problem
 
 T = TypeVar("T")
 
@@ -225,7 +224,7 @@ def _answer(call: Call[T], response: httpx.Response) -> T:
 
 def _refusal(response: httpx.Response) -> Exception:
     """The exception that a response stands for."""
-    if response.headers.get("content-type") != MEDIA_TYPE:
+    if response.headers.get("content-type") != PROBLEM:
         return Unreachable(f"{response.url} answers {response.status_code} and is no service of this kind")
     problem = Problem.model_validate_json(response.content)
     refused = Refused(problem)

@@ -20,10 +20,11 @@ import goniometer.errors
 import simulators.errors
 from api.access.audit import record_done
 from api.bench.lease import pass_on_stop
+from api.bench.messages import Answer, Call, Doing, Message, Snapshot, Told
 from api.bench.operated import set_point
 from api.bench.runner import Task
-from api.bench.state import Answer, BenchState, Call, Doing, Message, Snapshot, Told
 from api.bench.worker import main
+from api.bodies.bench import BenchState
 from api.errors import Conflict
 from api.events import Events
 from drivers.errors import DriverError

@@ -31,9 +31,10 @@ from api.bench.lease import (
     take_lease,
     take_up_stop,
 )
+from api.bench.messages import Answer, Call, Doing, Message, Told
 from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
-from api.bench.state import Alarm, Answer, BenchState, Call, Doing, Driver, Message, Told
+from api.bodies.bench import Alarm, BenchState, Driver
 from api.errors import Conflict
 from api.logs import log_as_json
 from drivers.errors import DriverError

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from api import calls
+from api.bodies.jobs import ExportAsked, HowAsked, ImportAsked
 from api.call import Call
 from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
 from api.errors import Conflict, Unauthorised
-from api.jobs.arguments import ExportAsked, HowAsked, ImportAsked
 from goniometer.errors import InputError, NotInStore
 from tests.served import Served, served
 

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from api.access import audit
+from api.bodies.jobs import ExportArguments, StabilityArguments
 from api.errors import Conflict
 from api.events import Events
 from api.jobs import rows as job_rows
-from api.jobs.arguments import ExportArguments, StabilityArguments
 from api.jobs.retention import Retention, prune
 from api.jobs.rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
 from api.jobs.running import Jobs
