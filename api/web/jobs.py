@@ -32,14 +32,14 @@ _SEALED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-a
 def list_jobs(
     live: Here,
     caller: Viewer,
-    state: Annotated[list[State], Query(description="Only those in one of these states.")] = [],  # noqa: B006
+    state: Annotated[tuple[State, ...], Query(description="Only those in one of these states.")] = (),
     kind: Annotated[str | None, Query(max_length=40, description="Only those of this kind.")] = None,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
 ) -> Page[JobView]:
     """All jobs, newest first."""
     before = None if after is None else after_number(after)
-    return page(all_jobs(live.store, limit + 1, before, tuple(state), kind), limit, job_view, lambda row: row.id)
+    return page(all_jobs(live.store, limit + 1, before, state, kind), limit, job_view, lambda row: row.id)
 
 
 @router.get("/{number}")
