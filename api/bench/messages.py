@@ -46,13 +46,22 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What came of a call: a value, or why not."""
+class Done:
+    """A call was obeyed."""
 
     number: int
-    value: Any = None
-    refusal: tuple[str, str] | None = None
-    """Kind and sentence of an error; see `api.bench.link`."""
+    value: Any
+    """What the command of that name gives; None of most."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A call was not obeyed."""
+
+    number: int
+    kind: str
+    """Name of the error; see `api.bench.link.error_named`."""
+    message: str
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,9 @@ class Doing:
     words: str
     """What is done next."""
 
+
+Answer = Done | Refusal
+"""What came of a call."""
 
 Message = Doing | Answer | Told | BenchState | Snapshot
 """What the process that drives the bench says."""
