@@ -1,4 +1,4 @@
-"""What may be chosen of a fit and of its files, by name.
+"""What may be chosen of a fit and of its files, and what is said of a choice, by name.
 
 This module loads nothing: a command line that only names its choices starts at once.
 """
@@ -29,3 +29,6 @@ MODELS = ("local", "global", "global-two-component", *BRDF_MODELS)
 
 USUAL_ERROR, USUAL_COLOUR_ERROR = 0.02, 0.5
 """How far a file for renderers may be from its model: relative, and dE00."""
+
+State = Literal["meets", "fails", "undetermined", "not identified"]
+"""What a model does in a scene with the tolerance that is asked for."""

@@ -14,12 +14,12 @@ ladder is not monotone, so every rung is looked at; it is not climbed.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from analysis.asked import Asked, asked
 from analysis.brdf_table import Reference, at_nodes, between_nodes
+from analysis.choices import State
 from analysis.fresnel import Conductor
 from analysis.ladder import DOUBT_STEP, Rung, ladder, table_rung
 from analysis.results import ModelFit
@@ -42,8 +42,6 @@ DOUBT_NODES = 6
 """Wavelengths at which it is looked what errors of the parameters do."""
 
 _STANDARD_ERRORS = 2.0
-
-State = Literal["meets", "fails", "undetermined", "not identified"]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ the bench of a service  bench
 heavy work of a service jobs
 who may use it          access
 scripts that use it     client, calls, call
+what is said to it      bodies
 what datasets become    results, exports, simulated
 where work is done      executor, cluster
 bluesky                 bluesky_devices

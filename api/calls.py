@@ -12,43 +12,31 @@ Angles are degrees, wavelengths nanometres, BRDF 1/sr; answers are the models th
 from typing import Any, Literal
 from urllib.parse import quote
 
-from api.bench.state import BenchState
-from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
-from api.jobs.arguments import (
+from api.bodies.access import Me
+from api.bodies.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
+from api.bodies.base import Page
+from api.bodies.bench import BenchState, Expose, Jog
+from api.bodies.calibration import CertificateRow, CertificateView, CharacterisationView, History, Reference
+from api.bodies.campaigns import CampaignDetail, CampaignView, EntryView, PreviewView, Verdict
+from api.bodies.datasets import Checks, DatasetDetail, DatasetRow, Lineage, SampleRow, SampleView, UncertaintyBudget
+from api.bodies.fits import ExportView, FitRow, FormatView, Ladder
+from api.bodies.jobs import (
     ChooseArguments,
     DoctorArguments,
     ExportAsked,
     HowAsked,
     ImportAsked,
+    JobView,
     RecalibrationAsked,
     StabilityArguments,
+    State,
     TradeoffArguments,
+    Upload,
 )
-from api.jobs.rows import State
-from api.jobs.view import JobView
-from api.views.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
-from api.views.calibration import Reference
-from api.views.curves import Distributions
-from api.views.history import History
-from api.views.in_plane_map import InPlaneMap
-from api.views.ladder import FitRow, Ladder
-from api.views.lineage import Lineage
-from api.views.listing import DatasetDetail, DatasetRow
-from api.views.newest import NewestBrdf
-from api.views.quality import Checks, UncertaintyBudget
-from api.views.slopes import Slopes
-from api.views.spectra import PointSpectrum
-from api.web.calibration import CertificateRow, CertificateView, CharacterisationView
-from api.web.campaigns import CampaignDetail, CampaignView, PreviewView, Verdict
-from api.web.fits import ExportView, FormatView
-from api.web.imports import Upload
-from api.web.instrument import Expose, Jog
-from api.web.login import Me
-from api.web.operation import About
-from api.web.paging import Page
-from api.web.queue_view import EntryView
-from api.web.samples import SampleRow, SampleView
-from api.web.scans import PointDetail, PointView, ScanView
+from api.bodies.plots import Distributions, InPlaneMap, PointSpectrum, Slopes
+from api.bodies.scans import NewestBrdf, PointDetail, PointView, ScanView
+from api.bodies.service import About
+from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
 from drivers.arrays import FloatArray
 from goniometer.dataset import Kind
 

@@ -1,7 +1,13 @@
 """The Python client of a running service, once for scripts that wait for each answer and once for asyncio.
 
 Both carry out the same `api.calls`. What the service refuses arrives as the exception that the same work raises here,
-e.g. `goniometer.errors.NotInStore` or `api.errors.Conflict`, with the problem of the service as its `__cause__`.
+e.g. `goniometer.errors.NotInStore` or `api.errors.Conflict`, with the `Refused` of the service as its `__cause__`.
+
+ServiceError
+├── Refused      the service did not do what it was asked
+├── Unreachable  nothing answers, or something that is not the service, or the connection broke
+│   └── TimedOut   it answers, but this answer did not come in time
+└── JobFailed    a job did not come to its end
 """
 
 import asyncio
@@ -21,12 +27,11 @@ import api.errors
 import drivers.errors
 import goniometer.errors
 from api import calls
+from api.bodies.base import Page
+from api.bodies.jobs import OPEN, JobView
+from api.bodies.service import PROBLEM, Problem
 from api.call import Call
 from api.errors import ServiceError
-from api.jobs.rows import OPEN
-from api.jobs.view import JobView
-from api.web.paging import Page
-from api.web.problems import MEDIA_TYPE, Problem
 
 T = TypeVar("T")
 
@@ -42,15 +47,27 @@ _LOOK = 0.3
 
 
 class Refused(ServiceError):
-    """The service did not do what it was asked."""
+    """The service did not do what it was asked; `problem` says why, `method` and `path` what was asked."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, request: httpx.Request) -> None:
         super().__init__(problem.detail)
         self.problem = problem
+        self.method, self.path = request.method, request.url.path
 
 
 class Unreachable(ServiceError):
-    """Nothing answers at the address of the service, or something that is not it."""
+    """Nothing answers at the address of the service, or something that is not it, or the connection broke.
+
+    `method` and `path` say what was asked.
+    """
+
+    def __init__(self, message: str, request: httpx.Request) -> None:
+        super().__init__(message)
+        self.method, self.path = request.method, request.url.path
+
+
+class TimedOut(Unreachable):
+    """The answer did not come in time; what was asked for may be done nevertheless."""
 
 
 class JobFailed(ServiceError):
@@ -220,15 +237,16 @@ def _answer(call: Call[T], response: httpx.Response) -> T:
         return call.read(response)
     except ValidationError as error:
         told = f"{response.url} answers something else than this client expects; use the client of its version"
-        raise Unreachable(told) from error
+        raise Unreachable(told, response.request) from error
 
 
 def _refusal(response: httpx.Response) -> Exception:
     """The exception that a response stands for."""
-    if response.headers.get("content-type") != MEDIA_TYPE:
-        return Unreachable(f"{response.url} answers {response.status_code} and is no service of this kind")
+    if response.headers.get("content-type") != PROBLEM:
+        told = f"{response.url} answers {response.status_code} and is no service of this kind"
+        return Unreachable(told, response.request)
     problem = Problem.model_validate_json(response.content)
-    refused = Refused(problem)
+    refused = Refused(problem, response.request)
     kind = _KNOWN.get(problem.type.rpartition(":")[2].replace("-", ""))
     if kind is None:
         return refused
@@ -253,7 +271,16 @@ _KNOWN: dict[str, type[Exception]] = {
 
 
 def _unreachable(url: httpx.URL, error: httpx.TransportError) -> Unreachable:
-    return Unreachable(f"{url} does not answer ({error or type(error).__name__}); start it with: goniometer serve")
+    asked, why = f"{error.request.method} {error.request.url.path}", error or type(error).__name__
+    match error:
+        case httpx.ReadTimeout() | httpx.WriteTimeout():
+            told = f"{url} has not answered {asked} in time; it may do it nevertheless, so look before you ask again"
+            return TimedOut(told, error.request)
+        case httpx.ReadError() | httpx.WriteError() | httpx.RemoteProtocolError():
+            told = f"{url} broke off {asked} ({why}); it may be done nevertheless, so look before you ask again"
+            return Unreachable(told, error.request)
+        case _:
+            return Unreachable(f"{url} does not answer ({why}); start it with: goniometer serve", error.request)
 
 
 def _next(call: Call[T], after: str) -> Call[T]:

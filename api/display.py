@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from goniometer.progress import Progress
-    from goniometer.records import Expected, Kind
+    from goniometer.records import Expected
+    from goniometer.states import Kind
 
 
 LOG_INTERVAL = 5.0

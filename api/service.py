@@ -30,8 +30,9 @@ from goniometer.doctor import Bench, Finding, examine, release, visit
 from goniometer.errors import BenchUnfit, InputError, NotInStore
 from goniometer.instrument import Instrument
 from goniometer.lineage import lacks_dataset
-from goniometer.records import ACTIVE_PHASES, Scan
+from goniometer.records import Scan
 from goniometer.scheduler import Mount, Report, run_campaign
+from goniometer.states import ACTIVE_PHASES
 from goniometer.store import Store
 from simulators.imperfections import Imperfections
 from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory

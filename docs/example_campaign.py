@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from api import calls
+from api.bodies.jobs import ExportAsked, HowAsked
 from api.client import Client
-from api.jobs.arguments import ExportAsked, HowAsked
 
 bench = Client(os.environ["GONIOMETER_URL"], os.environ["GONIOMETER_TOKEN"])
 print(bench(calls.about()))

@@ -10,7 +10,8 @@ from sqlalchemy import BindParameter, Select, and_, bindparam, case, exists, fun
 from goniometer import tables
 from goniometer.archive_file import whole_exposures
 from goniometer.database import Database
-from goniometer.records import Exposure, Phase, Point, Scan, to_point, to_scan
+from goniometer.records import Exposure, Point, Scan, to_point, to_scan
+from goniometer.states import Phase
 
 # Built once, for pages ask all the time while a scan runs.
 _POINT = tables.points.c

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from goniometer.geometry import Geometry
-from goniometer.records import Expected, Kind, Phase
+from goniometer.records import Expected
+from goniometer.states import Kind, Phase
 
 
 @dataclass(frozen=True)

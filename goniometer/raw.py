@@ -11,7 +11,8 @@ from drivers.arrays import CountArray
 from goniometer.angular import SAME_INCIDENCE
 from goniometer.constants import Constants
 from goniometer.geometry import Geometry
-from goniometer.records import EXPOSURE_KINDS, Exposure, ExposureKind
+from goniometer.records import Exposure
+from goniometer.states import EXPOSURE_KINDS, ExposureKind
 from goniometer.store import Store
 from goniometer.uncertainty import Groups
 

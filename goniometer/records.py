@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Row
@@ -20,19 +20,8 @@ from goniometer.constants import BenchData, Constants
 from goniometer.dataset import Check, Dataset
 from goniometer.errors import RawDamaged, StoreError
 from goniometer.geometry import Geometry
+from goniometer.states import Command, ExposureKind, Kind, Outcome, Phase, Status
 from goniometer.uncertainty import ErrorSource
-
-Kind = Literal["reference", "sample", "spot"]
-"""A spot is another place, or another azimuth, of the sample before it, measured at a few of its directions."""
-ExposureKind = Literal["light", "dark", "stray", "monitor", "sweep"]
-"""A sweep is a reading of the detector while its arm moves."""
-EXPOSURE_KINDS: tuple[ExposureKind, ...] = ("light", "dark", "stray", "monitor", "sweep")
-Phase = Literal["idle", "running", "pausing", "paused", "aborting", "finished"]
-ACTIVE_PHASES: frozenset[Phase] = frozenset({"running", "pausing", "paused", "aborting"})
-"""Of a scan that some process is running, or was when it was killed."""
-Outcome = Literal["completed", "aborted", "failed"]
-Command = Literal["pause", "resume", "abort"]
-Status = Literal["pending", "running", "done", "failed", "skipped"]
 
 
 @dataclass(frozen=True)

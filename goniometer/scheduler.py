@@ -50,8 +50,9 @@ from goniometer.plan import plan_spec
 from goniometer.prescan import check_prescan
 from goniometer.progress import Progress, Waiting
 from goniometer.raw import RawScan, read_raw
-from goniometer.records import Outcome, Phase, Point, Scan
+from goniometer.records import Point, Scan
 from goniometer.safety import check_plan
+from goniometer.states import Outcome, Phase
 from goniometer.store import Store
 from goniometer.waiting import Readiness, pass_time
 

@@ -23,15 +23,9 @@ from goniometer.derived import Derived
 from goniometer.errors import CampaignError, NotInStore, StoreError
 from goniometer.geometry import Geometry, from_stages
 from goniometer.records import (
-    ACTIVE_PHASES,
-    EXPOSURE_KINDS,
-    Command,
     Expected,
     Exposure,
-    ExposureKind,
     ExposureTime,
-    Outcome,
-    Phase,
     Point,
     Scan,
     constants_json,
@@ -41,6 +35,7 @@ from goniometer.records import (
     to_point,
     to_scan,
 )
+from goniometer.states import ACTIVE_PHASES, EXPOSURE_KINDS, Command, ExposureKind, Outcome, Phase
 from goniometer.track import Passage
 
 _REMAINING = ("remaining", "remaining_low", "remaining_high")

@@ -13,6 +13,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import VerifyMismatchError
 from sqlalchemy import Connection, delete, insert, select, update
 
+from api.bodies.access import LONGEST_PASSWORD
 from api.choices import ROLES, Role
 from goniometer.database import Database
 from goniometer.errors import InputError, NotInStore
@@ -20,7 +21,6 @@ from goniometer.records import now
 from goniometer.service_tables import sessions, users
 
 SHORTEST_PASSWORD = 10
-LONGEST_PASSWORD = 1024
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 

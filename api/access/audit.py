@@ -11,17 +11,16 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select, text
 
+from api.bodies.access import Via
 from goniometer.database import Database
 from goniometer.errors import StoreError
 from goniometer.records import now
 from goniometer.service_tables import log as table
 
-Via = Literal["session", "token", "cli", "service", "nobody"]
-"""How somebody was known: browser, script, command line; what the service does of itself; and who was not known."""
 FIRST = "0" * 64
 """What the first row has for the hash of the one before it."""
 _SECRET = ("password", "token", "secret")

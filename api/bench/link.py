@@ -20,10 +20,11 @@ import goniometer.errors
 import simulators.errors
 from api.access.audit import record_done
 from api.bench.lease import pass_on_stop
+from api.bench.messages import Call, Doing, Done, Message, Refusal, Snapshot, Told
 from api.bench.operated import set_point
 from api.bench.runner import Task
-from api.bench.state import Answer, BenchState, Call, Doing, Message, Snapshot, Told
 from api.bench.worker import main
+from api.bodies.bench import BenchState
 from api.errors import Conflict
 from api.events import Events
 from drivers.errors import DriverError
@@ -192,15 +193,18 @@ class Link:
                 _, tell = self._waiting.get(number, (None, None))
                 if tell is not None:
                     tell(share, words)
-            case Answer(number, value, refusal):
-                with self._lock:
-                    answer, _ = self._waiting.pop(number, (None, None))
-                if answer is None or answer.cancelled():
-                    return
-                if refusal is None:
+            case Done(number, value):
+                if (answer := self._answer(number)) is not None:
                     answer.set_result(value)
-                else:
-                    answer.set_exception(error_named(*refusal))
+            case Refusal(number, kind, sentence):
+                if (answer := self._answer(number)) is not None:
+                    answer.set_exception(error_named(kind, sentence))
+
+    def _answer(self, number: int) -> Future[Any] | None:
+        """The future of a call that is over; None where nobody waits for it any more."""
+        with self._lock:
+            answer, _ = self._waiting.pop(number, (None, None))
+        return None if answer is None or answer.cancelled() else answer
 
     def _tell(self, state: BenchState) -> None:
         self._state, self.shown = state, state.model_dump_json()

@@ -16,7 +16,8 @@ from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict
 from typing import Any, Literal, TypeVar
 
-from api.bench.state import Alarm, BenchPhase, Snapshot, StageView
+from api.bench.messages import Snapshot
+from api.bodies.bench import Alarm, BenchPhase, StageView
 from api.errors import Conflict
 from api.service import diagnose, open_instrument
 from api.settings import InstrumentSettings, SpectrometerSettings

@@ -20,8 +20,9 @@ from api.errors import Conflict
 from goniometer.campaign import Campaign
 from goniometer.database import Database, insert_row
 from goniometer.errors import NotInStore
-from goniometer.records import Outcome, Scan, now
+from goniometer.records import Scan, now
 from goniometer.service_tables import queue as table
+from goniometer.states import Outcome
 from goniometer.store import Store
 
 EntryPhase = Literal["idle", "queued", "running", "finished"]

@@ -11,8 +11,9 @@ from typing import Any
 
 from analysis.errors import AnalysisError
 from api.bench import queue
+from api.bench.messages import Told
 from api.bench.operated import OperatedBench
-from api.bench.state import Prompt, Running, Span, Told
+from api.bodies.bench import Prompt, Running, Span
 from api.errors import Conflict
 from api.mount_request import mount_request
 from api.preflight import preflight
@@ -23,7 +24,8 @@ from api.settings import InstrumentSettings
 from drivers.errors import DriverError
 from goniometer.errors import CampaignError, GoniometerError, NotInStore, RunAborted, StoreError
 from goniometer.progress import Progress
-from goniometer.records import Outcome, Scan, now
+from goniometer.records import Scan, now
+from goniometer.states import Outcome
 from goniometer.store import Store
 
 REPORT_EVERY = 0.1

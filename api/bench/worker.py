@@ -31,9 +31,10 @@ from api.bench.lease import (
     take_lease,
     take_up_stop,
 )
+from api.bench.messages import Answer, Call, Doing, Done, Message, Refusal, Told
 from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
-from api.bench.state import Alarm, Answer, BenchState, Call, Doing, Driver, Message, Told
+from api.bodies.bench import Alarm, BenchState, Driver
 from api.errors import Conflict
 from api.logs import log_as_json
 from drivers.errors import DriverError
@@ -271,9 +272,9 @@ class _Worker:
             value = await self._command(call)
             await self._look_once()  # who reads the state after the answer sees what came of it
         except (GoniometerError, DriverError) as error:
-            self.say(Answer(call.number, refusal=(type(error).__name__, str(error))))
+            self.say(Refusal(call.number, type(error).__name__, str(error)))
         else:
-            self.say(Answer(call.number, value))
+            self.say(Done(call.number, value))
 
     def _command(self, call: Call) -> Coroutine[Any, Any, Any]:
         name, arguments = call.name, call.arguments

@@ -14,7 +14,7 @@ from api.display import called, span
 from api.terminal import stdout
 
 if TYPE_CHECKING:
-    from goniometer.records import Command
+    from goniometer.states import Command
 
 
 def register(app: typer.Typer) -> None:
@@ -34,7 +34,7 @@ def status(
     from goniometer.dataset import kind_of
     from goniometer.dataset_file import last_file
     from goniometer.exposure import below_wanted
-    from goniometer.records import ACTIVE_PHASES
+    from goniometer.states import ACTIVE_PHASES
 
     store = existing(database)
     names, running = store.campaigns(), look_up.scans_in_phases(store, ACTIVE_PHASES)

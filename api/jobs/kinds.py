@@ -8,12 +8,8 @@ from typing import Any
 from analysis.choose_report import choice_body
 from analysis.page import titled_page
 from analysis.tradeoff import charts_json
-from api.choices import Role
-from api.datasets import recalibrate
-from api.executor import processes
-from api.exports.formats import FORMATS, Options, export_dataset
-from api.jobs.arguments import (
-    Arguments,
+from api.bodies.base import Asked
+from api.bodies.jobs import (
     ChooseArguments,
     DoctorArguments,
     ExportArguments,
@@ -24,6 +20,10 @@ from api.jobs.arguments import (
     StabilityArguments,
     TradeoffArguments,
 )
+from api.choices import Role
+from api.datasets import recalibrate
+from api.executor import processes
+from api.exports.formats import FORMATS, Options, export_dataset
 from api.jobs.uploads import uploaded
 from api.results.certificates import known_certificate
 from api.results.choose import choice_content, choice_pictures, choose_model, mitsuba_is_there
@@ -75,7 +75,7 @@ class Kind:
 
     about: str
     """For a person, e.g. "Fit a dataset"."""
-    arguments: type[Arguments]
+    arguments: type[Asked]
     run: Callable[[Work, Any], Made] | None
     """None: it is a command of the bench, which the process that drives it obeys."""
     role: Role = "operator"

@@ -12,7 +12,7 @@ from pathlib import Path
 from sqlalchemy import delete, select
 
 from api.access.audit import record_done
-from api.jobs.rows import OPEN
+from api.bodies.jobs import OPEN
 from goniometer.database import Database
 from goniometer.service_tables import jobs as table
 

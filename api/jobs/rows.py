@@ -8,16 +8,14 @@ import os
 import secrets
 import socket
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy import Row, Select, select, update
 
+from api.bodies.jobs import OPEN, State
 from goniometer.database import Database, insert_row
 from goniometer.records import now
 from goniometer.service_tables import jobs as table
-
-State = Literal["waiting", "running", "done", "failed", "cancelled", "interrupted"]
-OPEN: tuple[State, ...] = ("waiting", "running")
 
 BEAT = 3.0
 """Seconds between two signs of life of a service."""

@@ -23,12 +23,13 @@ from pydantic import BaseModel
 
 from analysis.fit_json import strict_json
 from api.bench.link import Link
+from api.bodies.jobs import OPEN, State
 from api.errors import Conflict
 from api.events import Events
 from api.jobs import rows as job_rows
 from api.jobs.kinds import KINDS
 from api.jobs.retention import KEPT, Retention, prune
-from api.jobs.rows import BEAT, OPEN, Job
+from api.jobs.rows import BEAT, Job
 from api.jobs.view import job_view
 from api.jobs.worker import Ended, begin_worker, work
 from drivers.errors import DriverError
@@ -211,7 +212,7 @@ class Jobs:
         fault = future.exception()
         if fault is None:
             ended = future.result()
-            state: job_rows.State = "failed" if ended.fault else "done"
+            state: State = "failed" if ended.fault else "done"
             self._write_down(job_id, state, ended.fault, ended.result, ended.page)
         elif isinstance(fault, BrokenProcessPool):
             if self._closed.is_set():
@@ -249,7 +250,7 @@ class Jobs:
                 log.warning("Jobs are not looked after: %s", error)
 
     def _write_down(
-        self, job_id: int, state: job_rows.State, reason: str, result: str | None = None, page: str | None = None
+        self, job_id: int, state: State, reason: str, result: str | None = None, page: str | None = None
     ) -> None:
         """Put down how a job ended, as `job_rows.finish`, as soon as the database lets it."""
         while True:

@@ -1,48 +1,19 @@
 """Reflectance distributions: the BRDF over the reflected angle, one curve an incident angle."""
 
 import numpy as np
-from pydantic import Field
 
 from analysis.colour import xyz_weights
 from analysis.figures import COVERAGE
 from analysis.filled_figure import at_nearest
 from analysis.noise import at_wavelength, weighted
-from api.views.body import Body, Number, numbers
+from api.bodies.base import numbers
+from api.bodies.plots import Distribution, Distributions, FilledCurve
 from api.views.opened import Opened
 from drivers.arrays import FloatArray
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.budget import nearest_wavelength
 from goniometer.dataset import Dataset
 from goniometer.fill import Filled
-
-
-class FilledCurve(Body):
-    """Directions that were not measured and can be told; never a measurement."""
-
-    theta_out_deg: list[float]
-    brdf: list[Number]
-    u: list[Number]
-
-
-class Distribution(Body):
-    """One incident angle; the lists run over its points by theta_out."""
-
-    theta_in_deg: float
-    points: list[int] = Field(description="Numbers of the points in the dataset.")
-    theta_out_deg: list[float]
-    brdf: list[Number] = Field(description="1/sr.")
-    u: list[Number] = Field(description="Combined standard uncertainty (k = 1), 1/sr.")
-    log10_brdf: list[Number] = Field(description="Null where the value is not positive.")
-    filled: FilledCurve | None
-
-
-class Distributions(Body):
-    """All incident angles of a dataset."""
-
-    dataset: int
-    wavelength_nm: float | None = Field(description="Null: as bright as the eye sees it under D65.")
-    coverage_factor: int = Field(description="By which bands are drawn; `u` itself has coverage factor 1.")
-    curves: list[Distribution]
 
 
 def distributions(opened: Opened, wavelength: float | None, filled: Filled | None) -> Distributions:

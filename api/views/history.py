@@ -4,16 +4,16 @@ import json
 from functools import lru_cache
 
 import numpy as np
-from pydantic import Field
 
-from api.views.body import Body, Number, number
+from api.bodies.base import Number, number
+from api.bodies.calibration import Band, History, ScanHistory, WavelengthHistory
 from drivers.arrays import FloatArray
 from goniometer.checks import SAME_DIRECTION
 from goniometer.drift import lamp_drift
 from goniometer.errors import CalibrationError
 from goniometer.look_up import detector_temperatures
 from goniometer.raw import read_raw
-from goniometer.records import Kind, Scan
+from goniometer.records import Scan
 from goniometer.signal import linear
 from goniometer.store import Store
 
@@ -23,53 +23,6 @@ HALF_BAND_NM = 5.0
 """Over which pixels are averaged on either side."""
 
 _COUNTED = frozenset({"dark", "non-linearity"})
-
-
-class Band(Body):
-    """The response in a band of wavelengths."""
-
-    wavelength_nm: float
-    ratio: Number = Field(description="To that of the first scan of the panel; null where it is 0.")
-    u: Number = Field(description="Standard uncertainty (k = 1): noise, and the scatter over directions.")
-
-
-class ScanHistory(Body):
-    """What a scan tells of the bench."""
-
-    scan: int
-    campaign: str
-    name: str
-    kind: Kind
-    started: str = Field(description="ISO 8601, UTC.")
-    temperature: Number = Field(description="Mean of the detector over all exposures, degrees Celsius.")
-    temperature_low: Number
-    temperature_high: Number
-    lamp_change: Number = Field(description="Relative change at 600 nm from the first look at the lamp to the last.")
-    lamp_largest: Number = Field(description="Largest relative change since the first look.")
-    u_lamp: Number = Field(description="Relative standard uncertainty (k = 1) of the lamp at a point of the scan.")
-    response: list[Band] = Field(
-        description="Of a scan of the reference panel: its signal against that of the first such scan, over the "
-        "directions that both have; empty of other scans, and where they have none in common."
-    )
-
-
-class WavelengthHistory(Body):
-    """A measurement of the wavelength scale."""
-
-    created: str = Field(description="ISO 8601, UTC.")
-    offset: Number = Field(description="To be added to the spectrometer's own wavelengths, nm.")
-    u_offset: Number = Field(description="Standard uncertainty (k = 1), nm.")
-
-
-class History(Body):
-    """How the bench has changed."""
-
-    bench: str = Field(description="The one that this service runs; others on the same database are not told of.")
-    scans: list[ScanHistory] = Field(description="Oldest first.")
-    wavelength: list[WavelengthHistory] = Field(description="Oldest first.")
-    stated_wavelength_offset: Number = Field(description="That of the newest scan's instrument file, nm.")
-    u_stated_wavelength: Number = Field(description="Its standard uncertainty (k = 1), nm.")
-    more: bool = Field(description="Whether there are older scans.")
 
 
 def history(store: Store, limit: int) -> History:

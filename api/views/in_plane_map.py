@@ -1,81 +1,22 @@
 """The in-plane map: every measured direction as a cell in its own colour, and what is known of the others."""
 
-from typing import Literal
-
 import numpy as np
-from pydantic import Field
 
 from analysis.colour import brdf_to_xyz, has_colour
 from analysis.figures import cell_edges
 from analysis.filled_figure import at_nearest, filled_cells
 from analysis.noise import LEAST_SIGNAL_FOR_HUE, flag_words, hue_is_known
 from analysis.shown_colours import Exposure, exposure_of, shown_colours
-from api.views.body import Body, Number, number
+from api.bodies.base import number
+from api.bodies.plots import SHOWN_AT, Edges, FilledCell, InPlaneMap, MapCell
 from api.views.listing import flag_names
 from api.views.opened import Opened
 from drivers.arrays import FloatArray
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.dataset import Dataset
-from goniometer.fill import TELLS, Filled
+from goniometer.fill import Filled
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.sector import is_hidden
-
-SHOWN_AT = 600.0
-"""Wavelength, nm, at which hue and fillings are judged."""
-
-
-class Edges(Body):
-    """A rectangle of the map, degrees."""
-
-    left: float = Field(description="Smallest theta_out.")
-    right: float = Field(description="Largest theta_out.")
-    bottom: float = Field(description="Smallest theta_in.")
-    top: float = Field(description="Largest theta_in.")
-
-
-class MapCell(Body):
-    """A measured direction."""
-
-    point: int = Field(description="Number of the point in the dataset, from 0.")
-    theta_in_deg: float
-    theta_out_deg: float
-    edges: Edges = Field(description="What the cell covers: halfway to its neighbours.")
-    colour: str | None = Field(description="sRGB as #rrggbb under D65, exposed as `exposure` says; null: no colour.")
-    hue: str | None = Field(description="The same at one luminance for all; null where the hue is noise.")
-    luminance: Number = Field(description="Y under D65 of cos(theta_in) f; 1 is f cos(theta_in) = 1.")
-    flags: list[str]
-    flag_words: str = Field(description="What the flags mean; empty without any.")
-    # the field's own spelling
-    dE00: Number = Field(description="CIEDE2000 between measurement and `difference_model`.")  # noqa: N815
-
-
-class FilledCell(Body):
-    """A direction that was not measured, and what can be said of it."""
-
-    theta_in_deg: float
-    theta_out_deg: float
-    edges: Edges
-    by: Literal["reciprocity", "interpolation"]
-    colour: str | None
-    hue: str | None
-    brdf: Number = Field(description=f"At {SHOWN_AT:g} nm, 1/sr.")
-    u: Number = Field(description="Standard uncertainty (k = 1), 1/sr.")
-    points: list[int] = Field(description="Measured points that it comes from.")
-
-
-class InPlaneMap(Body):
-    """All cells of a dataset; theta_out goes to the right, theta_in up."""
-
-    dataset: int
-    sample: str
-    exposure: Number = Field(description="Linear RGB of f cos(theta_in) was multiplied by it; null: no colours.")
-    clipped: int = Field(description="Cells brighter than the display.")
-    difference_model: str | None = Field(description="The fit that `dE00` is of; null where there is none.")
-    cells: list[MapCell]
-    filled: list[FilledCell] = Field(description="Known well enough to say anything; never a measurement.")
-    not_filled: int = Field(description=f"Directions known to no better than {100 * TELLS:.0f} %, which are absent.")
-    blocked: list[Edges] = Field(description="Where the detector stands in the way of the source.")
-    blocked_half_width_deg: float
 
 
 def in_plane_map(opened: Opened, filled: Filled | None) -> InPlaneMap:

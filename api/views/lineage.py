@@ -1,37 +1,12 @@
 """Where a dataset comes from and what was made of it: raw -> dark -> reference -> BRDF -> fits and files."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import Field
-
-from api.views.body import Body
+from api.bodies.datasets import Lineage, LineageNode, NodeKind
 from api.views.opened import Opened
 from goniometer.archive_file import archive_of
 from goniometer.store import Store
-
-NodeKind = Literal[
-    "dataset", "scan", "exposures", "darks", "stray", "monitors", "reference", "certificate", "file", "simulation",
-    "fit", "export",
-]  # fmt: skip
-
-
-class LineageNode(Body):
-    """A thing from which something was made, or that was made from it."""
-
-    kind: NodeKind
-    title: str = Field(description="For a person.")
-    href: str | None = Field(default=None, description="Where this service tells more of it.")
-    ids: list[int] = Field(default=[], description="Of the rows of the database that it stands for.")
-    about: dict[str, str] = Field(default={}, description="What else is known of it, in words.")
-    sources: list["LineageNode"] = Field(default=[], description="What it was made from.")
-
-
-class Lineage(Body):
-    """Both directions from one dataset."""
-
-    dataset: LineageNode
-    derived: list[LineageNode] = Field(description="Fits, files and datasets that were made from it.")
 
 
 def lineage(store: Store, opened: Opened) -> Lineage:

@@ -3,34 +3,15 @@
 import threading
 import time
 
-from pydantic import Field
-
 from analysis.noise import flag_words
-from api.views.body import Body, Number, numbers
+from api.bodies.base import numbers
+from api.bodies.scans import NewestBrdf
 from goniometer.provisional import newest_brdf
 from goniometer.store import Store
 from goniometer.uncertainty import PARTS
 
 EVERY = 1.0
 """Seconds for which an answer holds; to find one takes some 0.08 s of a processor that the bench may want."""
-
-
-class NewestBrdf(Body):
-    """The BRDF of the point of a scan that was measured last, before its scan is complete."""
-
-    scan: int
-    sample: str = Field(description="Name of the scan.")
-    point: int = Field(description="Id of the measured point.")
-    theta_in_deg: float = Field(description="As read back.")
-    theta_out_deg: float = Field(description="As read back.")
-    wavelengths_nm: list[float]
-    brdf: list[Number] = Field(description="[wavelengths] 1/sr; null where there is no value.")
-    u: list[Number] = Field(description="[wavelengths] combined standard uncertainty (k = 1) of all `parts`, 1/sr.")
-    parts: list[str] = Field(description="Of the budget, that are in `u`.", examples=[["random", "dark", "reference"]])
-    neighbours: int = Field(
-        description="Points beside it from which the slope comes by which errors of the angles count; 0: without them."
-    )
-    flag_words: str = Field(description="What is doubtful about the point; empty where nothing is.")
 
 
 class Newest:

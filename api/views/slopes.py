@@ -1,60 +1,18 @@
 """How the colour changes with direction: slope of every spectrum, and what the models make of all of them."""
 
 import numpy as np
-from pydantic import Field
 
 from analysis.directions import in_plane
 from analysis.fits import fitted_slope
 from analysis.models import LAMBDA_N
 from analysis.stored_fit import StoredFit
-from api.views.body import Body, Number, number, numbers
+from api.bodies.base import number, numbers
+from api.bodies.plots import LocalPoint, SlopeCurve, SlopeModel, Slopes
 from api.views.opened import Opened
 from goniometer.angular import SAME_INCIDENCE, incidence_groups
 from goniometer.dataset import Dataset
 
 _GRID = np.linspace(-90.0, 90.0, 181)
-
-
-class LocalPoint(Body):
-    """Eq. 2 of the paper fitted to one spectrum; every u_ is a standard uncertainty (k = 1)."""
-
-    point: int = Field(description="Number of the point in the dataset, from 0.")
-    theta_in_deg: float
-    theta_out_deg: float
-    slope_per_um: Number = Field(description="m, 1/um.")
-    u_slope_per_um: Number
-    exponent: Number = Field(description="p, a pure number.")
-    u_exponent: Number
-    scale_per_sr: Number = Field(description="a, the BRDF at lambda_n, 1/sr.")
-    r2: Number
-    reliable: bool = Field(description="False where the point is flagged, drowned in noise or oddly fitted.")
-
-
-class SlopeCurve(Body):
-    """The slope of a model at one incident angle."""
-
-    theta_in_deg: float
-    slope_per_um: list[Number] = Field(description="At `theta_out_deg` of the whole answer, 1/um.")
-
-
-class SlopeModel(Body):
-    """The slopes of a model."""
-
-    model: str
-    fit: int = Field(description="Id of the fit.")
-    trusted: bool
-    curves: list[SlopeCurve]
-
-
-class Slopes(Body):
-    """All slopes of a dataset; points and models are empty where it was not analysed."""
-
-    dataset: int
-    lambda_n_nm: float = Field(description="Wavelength at which the shift is one, nm.")
-    doubts: list[str] = Field(description="What speaks against all spectra together.")
-    points: list[LocalPoint]
-    theta_out_deg: list[float] = Field(description="Where the curves are told, degrees.")
-    models: list[SlopeModel]
 
 
 def slopes(opened: Opened) -> Slopes:

@@ -1,53 +1,21 @@
 """Spectra of a dataset: one point with all that is known of it, or all of them as numbers in a row."""
 
 import numpy as np
-from pydantic import Field
 
 from analysis.fresnel import Conductor
 from analysis.models import local_model, normalised_fresnel
 from analysis.noise import flag_words
 from analysis.stored_fit import as_measured
-from api.views.body import Body, Number, number, numbers
+from api.bodies.base import number, numbers
+from api.bodies.plots import LocalCurve, PointSpectrum
 from api.views.listing import flag_names
 from api.views.opened import Opened
-from api.views.slopes import LocalPoint, local_points
+from api.views.slopes import local_points
 from drivers.arrays import FloatArray
 from goniometer.dataset import Dataset
 from goniometer.errors import NotInStore
 from goniometer.look_up import exposures_of
 from goniometer.store import Store
-
-
-class LocalCurve(Body):
-    """Eq. 2 of the paper, fitted to this spectrum alone."""
-
-    parameters: LocalPoint
-    fitted: list[Number] = Field(description="[wavelengths] 1/sr.")
-
-
-class PointSpectrum(Body):
-    """A point of a dataset."""
-
-    dataset: int
-    point: int
-    theta_in_deg: float
-    theta_out_deg: float
-    wavelengths_nm: list[float]
-    brdf: list[Number] = Field(description="[wavelengths] 1/sr; null where there is no value.")
-    u: list[Number] = Field(description="[wavelengths] combined standard uncertainty (k = 1), 1/sr.")
-    u_counts: list[Number] = Field(description="[wavelengths] the part of `u` that wavelengths do not share, 1/sr.")
-    local: LocalCurve | None = Field(description="Null where the dataset was not analysed.")
-    model: str | None = Field(description="The fit that `modelled` and `dE00` are of.")
-    modelled: list[Number] | None = Field(description="[wavelengths] the model as the instrument would read it, 1/sr.")
-    # the field's own spelling
-    dE00: Number = Field(description="CIEDE2000 between measurement and `model`.")  # noqa: N815
-    dE00_chromatic: Number = Field(  # noqa: N815
-        description="The same of both spectra at one level; null where the hue is noise."
-    )
-    flags: list[str]
-    flag_words: str
-    point_id: int | None = Field(description="The measured point; null of no scan of this database.")
-    exposures: list[int] = Field(description="Raw exposures that it comes from.")
 
 
 def point_spectrum(store: Store, opened: Opened, point: int) -> PointSpectrum:

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Response
 
-from api.jobs.arguments import ChooseArguments, StabilityArguments, TradeoffArguments
+from api.bodies.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
+from api.bodies.jobs import ChooseArguments, JobView, StabilityArguments, TradeoffArguments
 from api.jobs.rows import Job, job
-from api.jobs.view import JobView
 from api.views import analyses
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
@@ -34,7 +34,7 @@ def tradeoff(asked: TradeoffArguments, live: Here, caller: Operator) -> JobView:
 
 
 @router.get("/tradeoff/{number}")
-def tradeoff_charts(number: Number, live: Here, caller: Viewer) -> analyses.Tradeoff:
+def tradeoff_charts(number: Number, live: Here, caller: Viewer) -> Tradeoff:
     """The charts of a job, with how to ask for each way oneself."""
     return analyses.tradeoff(number, _result(live, number, "tradeoff"))
 
@@ -46,13 +46,13 @@ def stability(asked: StabilityArguments, live: Here, caller: Operator) -> JobVie
 
 
 @router.get("/stability/{number}")
-def stability_map(number: Number, live: Here, caller: Viewer) -> analyses.StabilityMap:
+def stability_map(number: Number, live: Here, caller: Viewer) -> StabilityMap:
     """The map of a job."""
     return analyses.stability_map(number, _result(live, number, "stability"))
 
 
 @router.get("/stability/{number}/ensemble")
-def ensemble(number: Number, live: Here, caller: Viewer, regime: Name, level: Name, method: Name) -> analyses.Ensemble:
+def ensemble(number: Number, live: Here, caller: Viewer, regime: Name, level: Name, method: Name) -> Ensemble:
     """The runs behind a cell of the map."""
     return analyses.ensemble(number, _result(live, number, "stability"), regime, level, method)
 
@@ -64,7 +64,7 @@ def choose(asked: ChooseArguments, live: Here, caller: Operator) -> JobView:
 
 
 @router.get("/choose/{number}")
-def choice(number: Number, live: Here, caller: Viewer) -> analyses.ChoiceView:
+def choice(number: Number, live: Here, caller: Viewer) -> ChoiceView:
     """What a job has chosen, and why."""
     return analyses.choice(number, _of_kind(live, number, "choose").arguments, _result(live, number, "choose"))
 

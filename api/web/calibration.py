@@ -5,10 +5,10 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Path, Query
-from pydantic import BaseModel, Field
 
-from api.jobs.arguments import RecalibrateArguments, RecalibrationAsked
-from api.jobs.view import JobView
+from api.bodies.base import Page
+from api.bodies.calibration import CertificateRow, CertificateView, CharacterisationView, History, Reference
+from api.bodies.jobs import JobView, RecalibrateArguments, RecalibrationAsked
 from api.results.certificates import (
     Known,
     add_certificate,
@@ -18,13 +18,13 @@ from api.results.certificates import (
     known_certificates,
     wavelengths_of,
 )
-from api.views.calibration import Reference, reference_view
-from api.views.history import History, history
+from api.views.calibration import reference_view
+from api.views.history import history
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import submit
 from api.web.live import Live
-from api.web.paging import After, Page, after_number, etag, page
+from api.web.paging import After, after_number, etag, page
 from goniometer import look_up
 from goniometer.records import Scan
 
@@ -35,40 +35,6 @@ Metrologist = Annotated[Caller, needs("metrologist")]
 
 _LARGEST = 4_000_000
 _PAGE = 10
-
-
-class CertificateRow(BaseModel):
-    """A certificate of a white panel."""
-
-    sha256: str = Field(description="Of its text; by this it is known.")
-    name: str = Field(description="Of its file, or what used it first.")
-    serial_number: str = Field(description="Of the panel.")
-    calibrated: str | None = Field(description="Day of calibration; null of nominal values.")
-    valid_until: str | None = Field(description="Last day on which the laboratory stands by it.")
-    valid_today: bool
-    wavelengths_nm: tuple[float, float] = Field(description="Shortest and longest certified wavelength, nm.")
-    kind: str = Field(description='"reflectance" (8 degrees into the hemisphere) or "brdf" (a table of directions).')
-    who: str | None = Field(description="Who handed it in; null where it came with a campaign or a dataset.")
-    created: str = Field(description="ISO 8601, UTC.")
-
-
-class CertificateView(CertificateRow):
-    """A certificate with what it certifies."""
-
-    text: str = Field(description="The CSV file.")
-    wavelength_nm: list[float] = Field(description="Empty of a table of directions.")
-    reflectance: list[float] = Field(description="8 degrees into the hemisphere, 0 to 1.")
-    u_reflectance: list[float] = Field(description="Standard uncertainty (k = 1).")
-
-
-class CharacterisationView(BaseModel):
-    """A measurement of the bench itself."""
-
-    id: int
-    kind: str = Field(examples=["signature"])
-    created: str = Field(description="ISO 8601, UTC.")
-    bench: str = Field(description="Name of the bench.")
-    content: dict[str, Any] = Field(description="As `goniometer characterise --json` prints it.")
 
 
 @router.get("/certificates")

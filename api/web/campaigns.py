@@ -5,16 +5,17 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
-from pydantic import BaseModel, Field
 
-from api.bench.state import Span
+from api.bodies.base import Page
+from api.bodies.bench import Span
+from api.bodies.campaigns import BlockedRange, CampaignDetail, CampaignView, Direction, LegView, PreviewView, Verdict
 from api.preflight import preflight
 from api.preview import preview as preview_of
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.live import Live
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
-from api.web.scans import ScanView, scan_views
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
+from api.web.scans import scan_views
 from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.campaign_file import read_campaign
@@ -44,74 +45,6 @@ BODY: dict[str, Any] = {
         },
     }
 }
-
-
-class Verdict(BaseModel):
-    """Whether a campaign can be measured."""
-
-    name: str
-    hash: str = Field(description="SHA-256 of what decides what is measured.")
-    findings: list[str] = Field(description="Why it would be refused, as sentences; empty where it would not.")
-
-
-class Direction(BaseModel):
-    """Where the arm goes."""
-
-    theta_in: float = Field(description="Degrees.")
-    theta_out: float = Field(description="Degrees.")
-    sample: float = Field(description="Angle of the sample stage, degrees.")
-    detector: float = Field(description="Angle of the detector stage, degrees.")
-
-
-class LegView(BaseModel):
-    """One scan as far as it is known beforehand."""
-
-    name: str
-    points: int = Field(description="Directions that are certain.")
-    most_points: int = Field(description="Directions that there may be in the end.")
-    sample_travel: float = Field(description="Degrees that the sample stage turns between those that are certain.")
-    detector_travel: float
-    time: Span
-    waiting: float = Field(description="Least time for which it waits before it measures, seconds.")
-
-
-class BlockedRange(BaseModel):
-    """Reflected directions at which the detector would stand in the beam; they are filled, not measured."""
-
-    theta_in: float = Field(description="Degrees.")
-    low: float = Field(description="theta_out, degrees.")
-    high: float = Field(description="theta_out, degrees.")
-
-
-class PreviewView(BaseModel):
-    """What a campaign will do."""
-
-    campaign: str
-    legs: list[LegView]
-    time: Span = Field(description="Of the whole campaign.")
-    points: list[Direction] = Field(description="The certain directions of a sample, in the order of the way.")
-    reference_points: list[Direction] = Field(description="The directions of the reference panel.")
-    blocked: list[BlockedRange]
-    uniform_1_degree_points: int = Field(description="Points that an even grid of 1 degree would have, per sample.")
-    lines: list[str] = Field(description="All of it as sentences.")
-    findings: list[str] = Field(description="Why it would be refused, as sentences; empty where it would not.")
-
-
-class CampaignView(BaseModel):
-    """A campaign that was begun."""
-
-    id: int
-    name: str
-    hash: str = Field(description="SHA-256 of what decides what is measured.")
-    created: str = Field(description="ISO 8601, UTC.")
-    bench: str = Field(description="Name of the bench on which it is measured.")
-
-
-class CampaignDetail(CampaignView):
-    """A campaign that was begun, with all of it."""
-
-    campaign: dict[str, Any] = Field(description="What it asks for, all defaults written out.")
-    scans: list[ScanView]
 
 
 def checked(sent: str | dict[str, Any], live: Live) -> Campaign:

@@ -4,11 +4,15 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
+from api.bodies.base import Page
+from api.bodies.datasets import Checks, DatasetDetail, DatasetRow, Lineage, UncertaintyBudget
+from api.bodies.fits import Ladder
+from api.bodies.plots import SHOWN_AT, Distributions, InPlaneMap, PointSpectrum, Slopes
 from api.views import curves, in_plane_map, ladder, lineage, listing, quality, slopes, spectra
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from api.web.shown import shown
 from goniometer.catalogue import Order, Wanted
 from goniometer.dataset import Kind
@@ -42,7 +46,7 @@ def datasets(
     order: Order = "newest",
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
-) -> Page[listing.DatasetRow]:
+) -> Page[DatasetRow]:
     """All datasets, or those that are asked for."""
     if flag is not None and flag not in listing.FLAG_NAMES:
         raise InputError(f'flag: there is no flag "{flag}"; there are {", ".join(listing.FLAG_NAMES)}.')
@@ -52,13 +56,13 @@ def datasets(
     return page(rows, limit, listing.row, lambda entry: entry.id)
 
 
-@router.get("/{number}", response_model=listing.DatasetDetail)
+@router.get("/{number}", response_model=DatasetDetail)
 def dataset(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
     """A dataset as it opens."""
     return shown(request, live, number, listing.detail)
 
 
-@router.get("/{number}/map", response_model=in_plane_map.InPlaneMap)
+@router.get("/{number}/map", response_model=InPlaneMap)
 def colour_map(
     number: Number,
     request: Request,
@@ -76,7 +80,7 @@ def colour_map(
     )
 
 
-@router.get("/{number}/points/{point}", response_model=spectra.PointSpectrum)
+@router.get("/{number}/points/{point}", response_model=PointSpectrum)
 def point(
     number: Number,
     point: Annotated[int, Path(ge=0, lt=2**31, description="Number of the point in the dataset, from 0.")],
@@ -88,13 +92,13 @@ def point(
     return shown(request, live, number, lambda opened: spectra.point_spectrum(live.store, opened, point), point)
 
 
-@router.get("/{number}/slopes", response_model=slopes.Slopes)
+@router.get("/{number}/slopes", response_model=Slopes)
 def slopes_of(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
     """How the colour changes with direction: slopes of the spectra and of the models."""
     return shown(request, live, number, slopes.slopes)
 
 
-@router.get("/{number}/distributions", response_model=curves.Distributions)
+@router.get("/{number}/distributions", response_model=Distributions)
 def distributions(
     number: Number,
     request: Request,
@@ -103,7 +107,7 @@ def distributions(
     quantity: Annotated[
         Literal["wavelength", "luminance"], Query(description="The BRDF at a wavelength, or as the eye weighs it.")
     ] = "wavelength",
-    wavelength: Annotated[float, Query(gt=0, lt=1e5, description="nm")] = in_plane_map.SHOWN_AT,
+    wavelength: Annotated[float, Query(gt=0, lt=1e5, description="nm")] = SHOWN_AT,
     filled: Annotated[bool, Query(description="Tell what was not measured, too.")] = True,
 ) -> Response:
     """The BRDF over the reflected angle, one curve an incident angle."""
@@ -118,19 +122,19 @@ def distributions(
     )
 
 
-@router.get("/{number}/models", response_model=ladder.Ladder)
+@router.get("/{number}/models", response_model=Ladder)
 def models(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
     """The newest fit of every model, simplest first, with what it costs, its error and its verdict."""
     return shown(request, live, number, ladder.ladder)
 
 
-@router.get("/{number}/checks", response_model=quality.Checks)
+@router.get("/{number}/checks", response_model=Checks)
 def checks(number: Number, request: Request, live: Here, caller: Viewer) -> Response:
     """Sanity checks and flags."""
     return shown(request, live, number, lambda opened: quality.checks(live.store, opened))
 
 
-@router.get("/{number}/budget", response_model=quality.UncertaintyBudget)
+@router.get("/{number}/budget", response_model=UncertaintyBudget)
 def budget(
     number: Number,
     request: Request,
@@ -146,7 +150,7 @@ def budget(
 
 
 @router.get("/{number}/lineage")
-def lineage_of(number: Number, live: Here, caller: Viewer) -> lineage.Lineage:
+def lineage_of(number: Number, live: Here, caller: Viewer) -> Lineage:
     """Where it comes from, and what was made of it."""
     return lineage.lineage(live.store, live.datasets.open(number))
 

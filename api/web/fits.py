@@ -6,14 +6,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, Field
 
+from api.bodies.fits import ExportView, FitRow, FormatView
+from api.bodies.jobs import ExportArguments, ExportAsked, FitArguments, HowAsked, JobView, ReportArguments
 from api.choices import WRITTEN
 from api.errors import Conflict
 from api.exports.formats import FORMATS
-from api.jobs.arguments import ExportArguments, ExportAsked, FitArguments, HowAsked, ReportArguments
-from api.jobs.view import JobView
-from api.views.ladder import FitRow, fit_row
+from api.views.ladder import fit_row
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import submit
@@ -24,27 +23,6 @@ router = APIRouter(prefix="/api", tags=["fits and exports"])
 
 Viewer = Annotated[Caller, needs("viewer")]
 Operator = Annotated[Caller, needs("operator")]
-
-
-class FormatView(BaseModel):
-    """A format in which a dataset leaves the house."""
-
-    name: str
-    about: str
-    ending: str = Field(description="Of the file, without a dot.")
-    options: list[str] = Field(description="What it lets one say, by name.")
-
-
-class ExportView(BaseModel):
-    """A file that was written from a dataset."""
-
-    id: int
-    dataset: int
-    format: str
-    file: str = Field(description="Its name.")
-    sha256: str
-    created: str = Field(description="ISO 8601, UTC.")
-    available: bool = Field(description="Whether it is still where it was written.")
 
 
 @router.get("/datasets/{number}/fits")

@@ -19,9 +19,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.access.audit import Via, record_done
+from api.access.audit import record_done
 from api.access.callers import Callers
 from api.access.tokens import PREFIX, Caller, csrf_token
+from api.bodies.access import Via
 from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthorised
 from api.web import patience
 from api.web.access import Access, cookie_name, shown_by

@@ -4,13 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
-from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies.jobs import ImportAsked, JobView, Upload
 from api.errors import TooLarge
-from api.jobs.arguments import ImportAsked
 from api.jobs.uploads import LARGEST, new_upload, uploaded
-from api.jobs.view import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.jobs import submit
@@ -19,14 +17,6 @@ from goniometer.errors import InputError, StoreFull
 router = APIRouter(prefix="/api", tags=["imports"])
 
 Operator = Annotated[Caller, needs("operator")]
-
-
-class Upload(BaseModel):
-    """A file that was sent."""
-
-    upload: str = Field(description="By what a job is told of it.")
-    name: str
-    size: int = Field(description="Bytes.")
 
 
 @router.post(

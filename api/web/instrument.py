@@ -1,16 +1,15 @@
 """The bench: what it does, and what operators let it do."""
 
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from api.bench.messages import Snapshot
 from api.bench.operated import conflict
-from api.bench.state import BenchState, Snapshot
+from api.bodies.bench import BenchState, Expose, Jog, Moment, Spectrum
+from api.bodies.jobs import DoctorArguments, JobView
 from api.errors import Conflict
-from api.jobs.arguments import DoctorArguments
-from api.jobs.view import JobView
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.jobs import submit
@@ -22,68 +21,6 @@ router = APIRouter(prefix="/api/instrument", tags=["instrument"])
 Viewer = Annotated[Caller, needs("viewer")]
 Operator = Annotated[Caller, needs("operator")]
 BINARY = "application/octet-stream"
-Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-
-
-class _Order(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Jog(_Order):
-    """Where to turn the stages: each by its own angle, or the arm by directions."""
-
-    sample: Angle | None = Field(default=None, description="Of the sample stage, degrees; null leaves it.")
-    detector: Angle | None = Field(
-        default=None, description="Of the detector stage from the source axis, degrees; null leaves it."
-    )
-    theta_in: Angle | None = Field(default=None, description="Incident angle, degrees; needs theta_out.", examples=[30])
-    theta_out: Angle | None = Field(default=None, description="Reflected angle, degrees, signed.", examples=[-10])
-
-    @model_validator(mode="after")
-    def _is_one_of_both(self) -> "Jog":
-        stages = self.sample is not None or self.detector is not None
-        if (self.theta_in is None) != (self.theta_out is None):
-            raise ValueError("theta_in and theta_out belong together: give both")
-        if stages == (self.theta_in is not None):
-            raise ValueError("give sample or detector, or theta_in and theta_out")
-        return self
-
-    @property
-    def standing(self) -> tuple[float | None, float | None]:
-        """Angles of the sample and the detector stage, degrees."""
-        if self.theta_in is None or self.theta_out is None:
-            return self.sample, self.detector
-        return self.theta_in, self.theta_in + self.theta_out
-
-
-class Expose(_Order):
-    """A spectrum that is shown and not kept."""
-
-    integration_time: float = Field(gt=0, le=3600, allow_inf_nan=False, description="Seconds.", examples=[0.1])
-    dark: bool = Field(default=False, description="Whether the shutter is closed.")
-
-
-class Spectrum(BaseModel):
-    """The last spectrum that was read."""
-
-    number: int = Field(description="The device's running number.")
-    wavelengths: list[float] = Field(description="[pixels] nanometres.")
-    counts: list[int] = Field(description="[pixels] raw counts.")
-    integration_time: float = Field(description="Seconds.")
-    saturation: int = Field(description="Counts at and above which a pixel is saturated.")
-    shutter: Literal["open", "closed", "unknown"]
-    theta_in: float | None = Field(description="Where the arm stood, degrees.")
-    theta_out: float | None
-    detector_temperature: float = Field(description="Degrees Celsius.")
-    moment: str = Field(description="ISO 8601, UTC.")
-
-
-class Moment(BaseModel):
-    """What was read of the bench at some moment."""
-
-    moment: str = Field(description="ISO 8601, UTC.")
-    detector_temperature: float | None = Field(description="Degrees Celsius.")
-    lamp_on_for: float | None = Field(description="Seconds.")
 
 
 @router.get("", response_model=BenchState)

@@ -6,15 +6,17 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import HTMLResponse
 
 from api.access.accounts import at_least
+from api.bodies.base import Asked, Page
+from api.bodies.jobs import JobView, State
 from api.errors import Conflict, NotAllowed
-from api.jobs.arguments import Arguments
+from api.jobs.checks import check
 from api.jobs.kinds import KINDS
-from api.jobs.rows import State, all_jobs, job, page_of, result_of
-from api.jobs.view import JobView, job_view
+from api.jobs.rows import all_jobs, job, page_of, result_of
+from api.jobs.view import job_view
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.live import Live
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/jobs", tags=["jobs"])
@@ -30,14 +32,14 @@ _SEALED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-a
 def list_jobs(
     live: Here,
     caller: Viewer,
-    state: Annotated[list[State], Query(description="Only those in one of these states.")] = [],  # noqa: B006
+    state: Annotated[tuple[State, ...], Query(description="Only those in one of these states.")] = (),
     kind: Annotated[str | None, Query(max_length=40, description="Only those of this kind.")] = None,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
 ) -> Page[JobView]:
     """All jobs, newest first."""
     before = None if after is None else after_number(after)
-    return page(all_jobs(live.store, limit + 1, before, tuple(state), kind), limit, job_view, lambda row: row.id)
+    return page(all_jobs(live.store, limit + 1, before, state, kind), limit, job_view, lambda row: row.id)
 
 
 @router.get("/{number}")
@@ -76,9 +78,9 @@ def cancel(number: Number, live: Here, caller: Operator) -> JobView:
     return job_view(live.jobs.cancel(number))
 
 
-def submit(live: Live, caller: Caller, kind: str, arguments: Arguments) -> JobView:
+def submit(live: Live, caller: Caller, kind: str, arguments: Asked) -> JobView:
     """Have a job done for who asks, unless it is plain now that it cannot be done."""
-    arguments.check(live.store)
+    check(live.store, arguments)
     return job_view(live.jobs.submit(kind, arguments, caller.name))
 
 

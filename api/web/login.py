@@ -1,13 +1,12 @@
 """Coming in and going out: with a password or a token, to a session that the browser keeps in a cookie."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Path, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 from starlette.concurrency import run_in_threadpool
 
-from api.access.accounts import LONGEST_PASSWORD, all_users, check_password, set_password
+from api.access.accounts import all_users, check_password, set_password
 from api.access.throttle import count_try, forgive
 from api.access.tokens import (
     OLD,
@@ -20,7 +19,7 @@ from api.access.tokens import (
     sessions_of,
     token_caller,
 )
-from api.choices import Role
+from api.bodies.access import Login, Me, NewPassword, SessionView
 from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.web.access import Access, cookie_name, needs
 from api.web.context import Here
@@ -30,55 +29,6 @@ router = APIRouter(prefix="/api", tags=["access"])
 
 _CROWD = 20
 """Logins that may wait for their turn."""
-
-
-class Login(BaseModel):
-    """Either a name and its password, or a token."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"name": "anna", "password": "a long one of hers"}, {"token": "gonio_..."}]},
-    )
-
-    name: str | None = Field(default=None, max_length=64)
-    password: SecretStr | None = Field(default=None, max_length=LONGEST_PASSWORD)
-    token: SecretStr | None = Field(default=None, max_length=200)
-
-    @model_validator(mode="after")
-    def _is_one_of_both(self) -> Self:
-        if (self.name is None) != (self.password is None) or (self.name is None) == (self.token is None):
-            raise ValueError("give either name and password, or token")
-        return self
-
-
-class Me(BaseModel):
-    """Who asks."""
-
-    name: str
-    role: Role = Field(description="What they may do with what they have shown.")
-    via: str = Field(description='"session" or "token".', examples=["session"])
-    csrf: str | None = Field(
-        description="What to send as X-CSRF-Token with everything but reading; null where a token is sent."
-    )
-
-
-class SessionView(BaseModel):
-    """A browser in which one is logged in."""
-
-    id: str = Field(examples=["0123456789abcdef"])
-    created: str = Field(description="ISO 8601, UTC.")
-    used: str = Field(description="When something was last asked for in it, about.")
-    token: int | None = Field(description="Number of the token that it began with; null: a password.")
-    this: bool = Field(description="Whether it is the one that asks.")
-
-
-class NewPassword(BaseModel):
-    """Another password of one's own."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    current_password: SecretStr = Field(max_length=LONGEST_PASSWORD)
-    password: SecretStr = Field(max_length=LONGEST_PASSWORD, description="The one that is to hold from now on.")
 
 
 @router.post("/login")

@@ -10,7 +10,7 @@ from prometheus_client.registry import Collector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.bench import queue
-from api.bench.state import BenchState
+from api.bodies.bench import BenchState
 from api.errors import Unauthorised
 from api.web.access import Access
 from api.web.live import Live

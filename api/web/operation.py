@@ -1,29 +1,16 @@
 """Whether the service lives, what it counts, and what it is."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter
-from pydantic import BaseModel, Field
 
+from api.bodies.service import About, Health
 from api.web.access import Caller, needs
 from api.web.context import Here
 from goniometer import look_up
 from goniometer.derived import software_version
 
 router = APIRouter(tags=["operation"])
-
-
-class Health(BaseModel):
-    """That the service answers and reaches its database."""
-
-    status: Literal["ok"]
-
-
-class About(BaseModel):
-    """What this service is."""
-
-    version: str = Field(description="Of this program.")
-    simulated: bool = Field(description="Whether the bench is the simulated one.")
 
 
 @router.get("/health")

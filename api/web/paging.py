@@ -2,11 +2,11 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, TypeVar
 
 from fastapi import Query, Request, Response
-from pydantic import BaseModel, Field
 
+from api.bodies.base import Page
 from api.errors import Outdated
 from goniometer.errors import InputError
 
@@ -16,13 +16,6 @@ R = TypeVar("R")
 Limit = Annotated[int, Query(ge=1, le=200, description="Most items of the answer.")]
 After = Annotated[str | None, Query(max_length=100, description="`next` of the page before; none: the first page.")]
 DEFAULT_LIMIT = 50
-
-
-class Page(BaseModel, Generic[T]):
-    """A part of a list."""
-
-    items: list[T]
-    next: str | None = Field(description="`after` of the next page; null on the last one.")
 
 
 def after_number(after: str | None, start: int = 0) -> int:

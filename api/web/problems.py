@@ -10,10 +10,10 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 
 from analysis.errors import AnalysisError, SceneError, UnknownConductor
+from api.bodies.service import PROBLEM, Fault, Problem
 from api.errors import Conflict, Misdirected, NotAllowed, Outdated, TooLarge, TooManyFailures, Unauthorised
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, InputError, NotInStore, OptionError, StoreBusy, StoreFull
@@ -21,7 +21,6 @@ from goniometer.wording import and_more, key_path
 
 log = logging.getLogger(__name__)
 
-MEDIA_TYPE = "application/problem+json"
 
 STATUS: dict[type[Exception], HTTPStatus] = {
     NotInStore: HTTPStatus.NOT_FOUND,
@@ -64,23 +63,6 @@ TOLD = {
 """What every operation may answer instead of its result."""
 
 
-class Fault(BaseModel):
-    """One thing that is wrong with what was sent."""
-
-    where: str = Field(description='Key or parameter, as "samples[0].name"; empty for the whole.')
-    message: str = Field(description="What is wrong and what would be right.")
-
-
-class Problem(BaseModel):
-    """Why something was not done (RFC 9457)."""
-
-    type: str = Field(description="Names the kind of problem for a program.", examples=["urn:goniometer:not-in-store"])
-    title: str = Field(description="The status in words.", examples=["Not Found"])
-    status: int = Field(description="The status of the response.", examples=[404])
-    detail: str = Field(description="What is wrong, where, and what would be right.")
-    errors: list[Fault] = Field(default=[], description="All that is wrong with what was sent.")
-
-
 def status_of(error: Exception) -> HTTPStatus:
     """The status that tells of an error of our floors."""
     return next(STATUS[base] for base in type(error).__mro__ if base in STATUS)
@@ -92,7 +74,7 @@ def problem(
     """The response that tells of a problem; `kind` names it for programs, as "not-in-store"."""
     title = HTTPStatus(status).phrase
     content = Problem(type=f"urn:goniometer:{kind}", title=title, status=status, detail=detail, errors=errors or [])
-    return JSONResponse(content.model_dump(), status, headers, MEDIA_TYPE)
+    return JSONResponse(content.model_dump(), status, headers, PROBLEM)
 
 
 def install(app: FastAPI) -> None:
@@ -110,7 +92,7 @@ def describe_problems(schema: dict[str, Any]) -> dict[str, Any]:
     parts["Fault"] = Fault.model_json_schema()
     parts["Problem"] = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
     parts["Problem"].pop("$defs", None)
-    content = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    content = {PROBLEM: {"schema": {"$ref": "#/components/schemas/Problem"}}}
     for operations in schema["paths"].values():
         for operation in operations.values():
             operation["responses"] |= {

@@ -1,56 +1,27 @@
 """The queue: which campaigns are measured, in which order, and what a running one shall do."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.bench import queue
+from api.bodies.base import Page
+from api.bodies.campaigns import EntryView, Mounted, Order, Place
 from api.errors import Conflict
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
 from api.web.live import Live
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, check_match, etag, page
-from api.web.queue_view import EntryView, entry_view
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, check_match, etag, page
+from api.web.queue_view import entry_view
 from goniometer.errors import NotInStore
-from goniometer.records import ACTIVE_PHASES, Command
+from goniometer.states import ACTIVE_PHASES, Command
 
 router = APIRouter(prefix="/api/queue", tags=["queue"])
 
 Viewer = Annotated[Caller, needs("viewer")]
 Operator = Annotated[Caller, needs("operator")]
-
-
-class _Order(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Order(_Order):
-    """A campaign that is to be measured."""
-
-    campaign: str | dict[str, Any] = Field(
-        description="As YAML text, or as an object, as docs/campaign.yaml explains it.",
-        examples=[{"name": "First light", "samples": [{"name": "Sample 1", "material": "sample-1"}]}],
-    )
-    start_after: AwareDatetime | None = Field(
-        default=None, description="It is started now, and begins in its turn once this moment has come."
-    )
-
-
-class Place(_Order):
-    """Where an entry shall stand."""
-
-    position: int = Field(ge=1, le=1_000_000, description="Counted from 1; beyond the end is the end.")
-
-
-class Mounted(_Order):
-    """What lies on the bench now."""
-
-    scan: int | None = Field(
-        default=None, ge=1, lt=2**63, description="Of the prompt that is answered; null: whichever."
-    )
 
 
 @router.get("", response_model=Page[EntryView])

@@ -1,12 +1,10 @@
 """An entry of the queue as people see it: with what the database and the bench know of its campaign."""
 
 from functools import lru_cache
-from typing import Literal
-
-from pydantic import BaseModel, Field
 
 from api.bench import queue
-from api.bench.state import BenchState, Prompt, Running, Span
+from api.bodies.bench import BenchState, Prompt, Running, Span
+from api.bodies.campaigns import EntryPhase, EntryScan, EntryView
 from api.display import duration
 from api.preview import preview
 from api.web.live import Live
@@ -14,51 +12,9 @@ from goniometer import look_up
 from goniometer.campaign import Campaign
 from goniometer.duration import DEAD_TIME
 from goniometer.plan_spec import ORDINARY
-from goniometer.records import ACTIVE_PHASES, Expected, Kind, Outcome, Scan
+from goniometer.records import Expected, Scan
 from goniometer.route import Motion
-
-EntryPhase = Literal["idle", "queued", "running", "pausing", "paused", "aborting", "fitting", "finished"]
-"""As in the database, and what the scan that is measured does; "fitting": all is measured, and the bench is free."""
-
-
-class EntryScan(BaseModel):
-    """A scan of a campaign, as far as it is."""
-
-    id: int
-    name: str
-    kind: Kind
-    phase: str
-    outcome: Outcome | None
-    points_done: int
-
-
-class EntryView(BaseModel):
-    """A campaign in the queue."""
-
-    id: int
-    position: int = Field(description="Place in the queue, counted from 1; 0 once it is finished.")
-    campaign: str = Field(description="Its name.")
-    campaign_id: int | None = Field(description="In the database; null until it was begun.")
-    phase: EntryPhase
-    outcome: Outcome | None = Field(description="How it ended; null while it has not.")
-    reason: str = Field(description="Why it ended so, why it waits, or why it is idle again; a sentence, or empty.")
-    who: str = Field(description="Who ordered it.")
-    start_after: str | None = Field(description="It does not begin before, ISO 8601, UTC.")
-    created: str = Field(description="ISO 8601, UTC.")
-    started: str | None = Field(description="ISO 8601, UTC.")
-    finished: str | None = Field(description="ISO 8601, UTC.")
-    scans: list[EntryScan] = Field(description="In the order in which they are run; none until it was begun.")
-    scan: int | None = Field(description="Id of the scan that is measured now.")
-    points_done: int
-    points_expected: int | None = Field(
-        description="Of all its scans, as far as the plan can tell; null once finished."
-    )
-    remaining: Span | None = Field(description="Bench time to go, seconds; null once finished.")
-    pause_takes_effect: str | None = Field(
-        description="When a pause takes effect, in words; null where there is nothing to pause.",
-        examples=["after this point, about 4 s"],
-    )
-    prompt: Prompt | None = Field(description="What somebody must mount before it goes on.")
+from goniometer.states import ACTIVE_PHASES
 
 
 def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:

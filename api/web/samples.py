@@ -5,32 +5,17 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, Field
 
-from api.views.listing import DatasetRow, row
+from api.bodies.base import Page
+from api.bodies.datasets import NEWEST, SampleRow, SampleView
+from api.views.listing import row
 from api.web.access import Caller, needs
 from api.web.context import Here
-from api.web.paging import DEFAULT_LIMIT, Limit, Page, page
+from api.web.paging import DEFAULT_LIMIT, Limit, page
 from goniometer.catalogue import Entry, Wanted
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/samples", tags=["datasets"])
-
-_NEWEST = 200
-
-
-class SampleRow(BaseModel):
-    """A sample."""
-
-    name: str
-    datasets: int = Field(description="How many there are of it.")
-    newest: DatasetRow | None = Field(description="Null where it was not measured to the end yet.")
-
-
-class SampleView(SampleRow):
-    """A sample and its datasets."""
-
-    all: list[DatasetRow] = Field(description=f"The newest {_NEWEST}, newest first.")
 
 
 @router.get("")
@@ -56,7 +41,7 @@ def sample(name: str, live: Here, caller: Annotated[Caller, needs("viewer")]) ->
     known = next((each for each in live.store.samples() if each.lower() == name.lower()), None)
     if known is None:
         raise NotInStore(f'There is no sample "{name[:100]}"; list what there is')
-    found = [row(entry) for entry in live.store.entries(Wanted(sample=known), _NEWEST)]
+    found = [row(entry) for entry in live.store.entries(Wanted(sample=known), NEWEST)]
     return SampleView(**_row(known, live.store.of_samples([known])).model_dump(), all=found)
 
 

@@ -3,83 +3,22 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
-from pydantic import BaseModel, Field
 
-from api.views.newest import NewestBrdf
+from api.bodies.base import Page
+from api.bodies.scans import ExposureView, NewestBrdf, PointDetail, PointView, ScanView
 from api.web.access import Caller, needs
 from api.web.answers import Shared
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
 from api.web.live import Live
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, etag, page, unchanged
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, etag, page, unchanged
 from goniometer import look_up
 from goniometer.look_up import NONE, Counts
-from goniometer.records import Command, Exposure, ExposureKind, Kind, Outcome, Phase, Point, Scan, Status
+from goniometer.records import Exposure, Point, Scan
 
 router = APIRouter(prefix="/api", tags=["scans"])
 
 Viewer = Annotated[Caller, needs("viewer")]
-
-
-class ScanView(BaseModel):
-    """One thing measured from end to end."""
-
-    id: int
-    campaign: int = Field(description="Id of the campaign.")
-    number: int = Field(description="Place in the campaign; the first reference scan is 0.")
-    kind: Kind
-    name: str = Field(description="Its sample, with the number of the repeat where there are several.")
-    sample: str
-    material: str
-    phase: Phase
-    outcome: Outcome | None = Field(description="How it ended; null while it has not.")
-    reason: str = Field(description="Why it ended so, or why it waits; a sentence, or empty.")
-    command: Command | None = Field(description="What was asked for and is not taken up yet.")
-    started: str | None = Field(description="ISO 8601, UTC.")
-    finished: str | None = Field(description="ISO 8601, UTC.")
-    points_done: int
-    points_failed: int
-    points_expected: int | None = Field(description="Points in the end, as foreseen; null where nobody knows yet.")
-    remaining: float | None = Field(description="Bench time to go, as foreseen at its last point, seconds.")
-    datasets: list[int] = Field(description="Ids of what was made from it.")
-
-
-class PointView(BaseModel):
-    """One direction of a scan."""
-
-    id: int
-    scan: int
-    number: int = Field(description="Order in which the plan asked for it.")
-    theta_in: float = Field(description="As planned, degrees.")
-    theta_out: float = Field(description="As planned, degrees.")
-    read_theta_in: float | None = Field(description="As the stages read it back, degrees.")
-    read_theta_out: float | None
-    status: Status
-    attempts: int
-    reason: str = Field(description="Why it failed or was skipped, or what is less than was wanted.")
-    seconds: float = Field(description="Bench time that it took.")
-    signal_to_noise: float | None
-
-
-class PointDetail(PointView):
-    """One direction of a scan, with its raw spectra."""
-
-    exposures: list[int] = Field(description="Ids of its exposures.")
-
-
-class ExposureView(BaseModel):
-    """One raw spectrum."""
-
-    id: int
-    scan: int
-    point: int | None = Field(description="Id of its point; null for all but light.")
-    kind: ExposureKind
-    theta_in: float | None = Field(description="Where the stages stood, degrees; null for a dark.")
-    theta_out: float | None
-    integration_time: float = Field(description="Seconds.")
-    detector_temperature: float = Field(description="Degrees Celsius.")
-    taken: str = Field(description="ISO 8601, UTC.")
-    counts: list[int] = Field(description="[pixels] raw counts.")
 
 
 @router.get("/scans", response_model=Page[ScanView])

@@ -4,51 +4,19 @@ from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
 
 from api.access import tokens
 from api.access.accounts import at_least
-from api.choices import Role
+from api.bodies.access import MadeToken, NewToken, Token
+from api.bodies.base import Page
 from api.errors import NotAllowed
 from api.web.access import Caller, needs
 from api.web.context import Here
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, after_number, page
+from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/tokens", tags=["access"])
 Anybody = Annotated[Caller, needs("viewer")]
-
-
-class Token(BaseModel):
-    """What is known of a token."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    id: int
-    user: str = Field(description="In whose name it works.")
-    label: str = Field(description="What it is for.")
-    role: Role = Field(description="It may do no more than this, and no more than its owner.")
-    created: str = Field(description="ISO 8601, UTC.")
-    expires: str | None = Field(description="ISO 8601, UTC; null: never.")
-    used: str | None = Field(description="When it was last used, to a minute; null: never.")
-
-
-class MadeToken(Token):
-    """A new token: what it is, this once."""
-
-    token: str = Field(description="The token; it is shown only now.")
-
-
-class NewToken(BaseModel):
-    """A token that is to be made."""
-
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"label": "night script", "role": "operator", "days": 30}]}
-    )
-
-    label: str = Field(min_length=1, max_length=100, description="What it is for.")
-    role: Role | None = Field(default=None, description="null: what who asks may do.")
-    days: float | None = Field(default=None, gt=0, le=36500, description="For which it holds; null: for ever.")
 
 
 @router.get("")

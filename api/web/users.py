@@ -3,54 +3,17 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
-from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
 from api.access import accounts
-from api.access.accounts import LONGEST_PASSWORD
-from api.choices import Role
+from api.bodies.access import Change, NewUser, User
+from api.bodies.base import Page
 from api.web.access import Caller, needs
 from api.web.context import Here
-from api.web.paging import DEFAULT_LIMIT, After, Limit, Page, page
+from api.web.paging import DEFAULT_LIMIT, After, Limit, page
 
 router = APIRouter(prefix="/api/users", tags=["access"])
 Admin = Annotated[Caller, needs("admin")]
 Name = Annotated[str, Path(max_length=64, examples=["anna"])]
-Password = Annotated[SecretStr, Field(max_length=LONGEST_PASSWORD)]
-
-
-class User(BaseModel):
-    """Somebody who may use the service."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    name: str
-    role: Role
-    disabled: bool = Field(description="Known, but not let in.")
-    has_password: bool = Field(description="Without one, only tokens let them in.")
-    created: str = Field(description="ISO 8601, UTC.")
-
-
-class NewUser(BaseModel):
-    """Somebody who is to be let in."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"name": "anna", "role": "operator", "password": "a long one of hers"}]},
-    )
-
-    name: str = Field(max_length=64, description="Lower-case letters, digits, dot, underscore and hyphen.")
-    role: Role
-    password: Password | None = Field(default=None, description="null: only tokens let them in.")
-
-
-class Change(BaseModel):
-    """What is to be otherwise of a user; what is not given stays."""
-
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"role": "metrologist"}]})
-
-    role: Role | None = None
-    disabled: bool | None = None
-    password: Password | None = None
 
 
 @router.get("")

@@ -3,7 +3,9 @@
 import asyncio
 import json
 import runpy
+import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -11,11 +13,12 @@ import httpx
 import numpy as np
 import pytest
 
+import api.client
 from api import calls
+from api.bodies.jobs import ExportAsked, HowAsked, ImportAsked
 from api.call import Call
-from api.client import AsyncClient, Client, Event, JobFailed, Unreachable
+from api.client import AsyncClient, Client, Event, JobFailed, Refused, TimedOut, Unreachable
 from api.errors import Conflict, Unauthorised
-from api.jobs.arguments import ExportAsked, HowAsked, ImportAsked
 from goniometer.errors import InputError, NotInStore
 from tests.served import Served, served
 
@@ -68,7 +71,9 @@ def test_what_the_service_refuses_is_the_exception_of_the_same_work_here(bench: 
             client(calls.fit(1, HowAsked(model="guess")))
         with pytest.raises(Conflict, match="is over") as refused:
             client(calls.cancel(1))
-        assert refused.value.__cause__.problem.status == 409  # type: ignore[union-attr]
+        cause = refused.value.__cause__
+        assert isinstance(cause, Refused)
+        assert (cause.problem.status, cause.method, cause.path) == (409, "DELETE", "/api/jobs/1")
         sent = client(calls.upload("none.csv", b"nothing in here\n"))
         with pytest.raises(JobFailed, match="aperture"):
             client.wait(client(calls.import_file(ImportAsked(upload=sent.upload))))
@@ -76,6 +81,40 @@ def test_what_the_service_refuses_is_the_exception_of_the_same_work_here(bench: 
         stranger(calls.about())
     with Client("http://127.0.0.1:9", token) as nobody, pytest.raises(Unreachable, match="goniometer serve"):
         nobody(calls.about())
+
+
+@pytest.mark.parametrize(
+    ("sends", "error", "message"),
+    [
+        (None, TimedOut, "has not answered POST /api/instrument/home in time"),
+        (b"", Unreachable, "broke off POST /api/instrument/home"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{", Unreachable, "broke off POST /api/instrument/home"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}", Unreachable, "answers something else"),
+        (b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", Unreachable, "is no service of this kind"),
+    ],
+)
+def test_a_script_learns_which_request_was_lost_and_how(
+    sends: bytes | None, error: type[Unreachable], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api.client, "_TIMEOUT", httpx.Timeout(0.5))
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                if sends is None:
+                    connection.recv(4096)  # until the client gives up
+                else:
+                    connection.sendall(sends)
+
+        served = pool.submit(serve)
+        with Client(f"http://127.0.0.1:{server.getsockname()[1]}", "token") as client, pytest.raises(error) as lost:
+            client(calls.order("home"))
+        served.result(timeout=10)
+    assert type(lost.value) is error
+    assert message in str(lost.value)
+    assert (lost.value.method, lost.value.path) == ("POST", "/api/instrument/home")
 
 
 def test_both_clients_give_the_same_answers_and_hear_of_jobs(bench: tuple[Served, str, Path]) -> None:

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.bench import queue
+from api.bench.messages import Told
 from api.bench.operated import OperatedBench
 from api.bench.runner import Runner, Task
-from api.bench.state import Told
 from api.commands.main import app
 from api.results import fitting
 from api.results.fitting import Fits

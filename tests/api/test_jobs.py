@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 
 from api.access import audit
+from api.bodies.base import Asked
+from api.bodies.jobs import ExportArguments, StabilityArguments
 from api.errors import Conflict
 from api.events import Events
 from api.jobs import rows as job_rows
-from api.jobs.arguments import ExportArguments, StabilityArguments
+from api.jobs.checks import check
 from api.jobs.retention import Retention, prune
 from api.jobs.rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
 from api.jobs.running import Jobs
@@ -137,9 +139,9 @@ def test_a_job_of_another_living_service_is_left_alone_until_that_is_silent(
         (StabilityArguments(regimes=["none"]), InputError),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_it_waits(place: Place, arguments: Any, fault: type[Exception]) -> None:
+def test_what_cannot_be_done_is_refused_before_it_waits(place: Place, arguments: Asked, fault: type[Exception]) -> None:
     with pytest.raises(fault):
-        arguments.check(place[0])
+        check(place[0], arguments)
 
 
 def test_old_jobs_go_with_their_files_and_nothing_else_does(place: Place, tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from analysis.fit_json import strict_json
 from api import calls
 from api.access.accounts import add_user
 from api.access.tokens import create_token
+from api.bodies.jobs import DoctorArguments
 from api.client import Client as PythonClient
 from api.jobs import rows
-from api.jobs.arguments import DoctorArguments
 from api.results.choose import choice_content, choose_model
 from api.results.products import report_dataset
 from api.results.tradeoff import Kind, charts

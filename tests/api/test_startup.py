@@ -1,4 +1,4 @@
-"""The command line answers at once: help loads none of the libraries that the work needs."""
+"""What only asks loads nothing that does the work: the help of the command line, and scripts on another machine."""
 
 import subprocess
 import sys
@@ -73,3 +73,10 @@ print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
+
+
+def test_a_script_on_another_machine_loads_nothing_of_the_service_and_no_numerics() -> None:
+    absent = ("fastapi", "starlette", "sqlalchemy", "scipy", "numba", "matplotlib", "lmfit")
+    code = f"import sys, api.client; print([name for name in {absent!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

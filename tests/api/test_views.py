@@ -13,6 +13,8 @@ from analysis.directions import in_plane
 from analysis.fit_json import analysis_to_json, fit_to_json
 from analysis.fits import fitted_slope
 from analysis.results import SampleAnalysis
+from api.bodies.calibration import Drift
+from api.bodies.plots import InPlaneMap
 from api.views.curves import distributions
 from api.views.in_plane_map import in_plane_map
 from api.views.ladder import ladder
@@ -24,8 +26,12 @@ from api.views.spectra import point_spectrum
 from goniometer.budget import by_part
 from goniometer.catalogue import Wanted
 from goniometer.dataset import Dataset, Flag
+from goniometer.drift import REFERENCE_WAVELENGTH
 from goniometer.errors import NotInStore
+from goniometer.fill import TELLS
 from goniometer.store import Store
+from simulators.choices import ABOUT
+from simulators.regimes import REGIMES
 from tests.drawn_dataset import drawn_dataset
 
 Shown = tuple[Store, Datasets, Opened, SampleAnalysis]
@@ -179,3 +185,9 @@ def test_the_lineage_leads_to_every_fit(shown: Shown) -> None:
     store, _, opened, _ = shown
     fits = [node.ids[0] for node in lineage(store, opened).derived if node.kind == "fit"]
     assert fits == [fit.id for fit in store.fits(opened.entry.id)]
+
+
+def test_what_answers_are_said_to_hold_is_what_they_hold() -> None:
+    assert f"no better than {100 * TELLS:.0f} %" in str(InPlaneMap.model_fields["not_filled"].description)
+    assert f"at {REFERENCE_WAVELENGTH:g} nm" in str(Drift.model_fields["level"].description)
+    assert list(ABOUT) == list(REGIMES)

@@ -1,28 +1,18 @@
-"""What the bench is and does now, as frozen snapshots that anybody may keep, and what goes between the two processes.
+"""What the bench is and does now, and what operators let it do."""
 
-The bench is driven in a process of its own (`api.bench.worker`), so that nothing that the web server does slows a scan
-down.
-"""
+from typing import Annotated, Literal
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from pydantic import Field, model_validator
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from api.events import EventKind
-from drivers.arrays import CountArray, FloatArray
+from api.bodies.base import Asked, Body
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.records import Kind, Phase
+from goniometer.states import Kind, Phase
 
 BenchPhase = Literal["disconnected", "connecting", "ready", "busy", "running", "stopping"]
 """What the bench is at: nothing open, opening, waiting for orders, doing one, measuring a campaign, being stopped."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class StageView(_Model):
+class StageView(Body):
     """A rotation stage."""
 
     name: Literal["sample", "detector"]
@@ -32,7 +22,7 @@ class StageView(_Model):
     limits: tuple[float, float] = Field(description="Where it may be sent, degrees.")
 
 
-class Driver(_Model):
+class Driver(Body):
     """The service that drives the bench."""
 
     url: str = Field(description="Where it answers.")
@@ -42,7 +32,7 @@ class Driver(_Model):
     here: bool = Field(description="Whether it is this one.")
 
 
-class Prompt(_Model):
+class Prompt(Body):
     """What a person is asked to lay on the bench before the scan goes on."""
 
     entry: int = Field(description="Of the queue.")
@@ -54,14 +44,14 @@ class Prompt(_Model):
     since: str = Field(description="ISO 8601, UTC.")
 
 
-class Alarm(_Model):
+class Alarm(Body):
     """Something that somebody must look at."""
 
     text: str
     since: str = Field(description="ISO 8601, UTC.")
 
 
-class Span(_Model):
+class Span(Body):
     """A time and between which limits it lies."""
 
     seconds: float
@@ -69,7 +59,7 @@ class Span(_Model):
     high: float
 
 
-class Running(_Model):
+class Running(Body):
     """The scan that is measured now."""
 
     entry: int = Field(description="Of the queue.")
@@ -89,7 +79,7 @@ class Running(_Model):
     waiting: str | None = Field(description="What it waits for instead of measuring.")
 
 
-class BenchState(_Model):
+class BenchState(Body):
     """The whole bench."""
 
     name: str = Field(description="Tells it from other benches on the same database.")
@@ -118,67 +108,61 @@ class BenchState(_Model):
     alarms: tuple[Alarm, ...]
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """The last spectrum that was read, as it is."""
+Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 
-    number: int
-    """The device's own."""
-    wavelengths: FloatArray
-    """[pixels] nanometres."""
-    counts: CountArray
-    """[pixels] raw counts."""
-    integration_time: float
-    """Seconds."""
-    saturation: int
-    """Counts at and above which a pixel is saturated."""
+
+class Jog(Asked):
+    """Where to turn the stages: each by its own angle, or the arm by directions."""
+
+    sample: Angle | None = Field(default=None, description="Of the sample stage, degrees; null leaves it.")
+    detector: Angle | None = Field(
+        default=None, description="Of the detector stage from the source axis, degrees; null leaves it."
+    )
+    theta_in: Angle | None = Field(default=None, description="Incident angle, degrees; needs theta_out.", examples=[30])
+    theta_out: Angle | None = Field(default=None, description="Reflected angle, degrees, signed.", examples=[-10])
+
+    @model_validator(mode="after")
+    def _is_one_of_both(self) -> "Jog":
+        stages = self.sample is not None or self.detector is not None
+        if (self.theta_in is None) != (self.theta_out is None):
+            raise ValueError("theta_in and theta_out belong together: give both")
+        if stages == (self.theta_in is not None):
+            raise ValueError("give sample or detector, or theta_in and theta_out")
+        return self
+
+    @property
+    def standing(self) -> tuple[float | None, float | None]:
+        """Angles of the sample and the detector stage, degrees."""
+        if self.theta_in is None or self.theta_out is None:
+            return self.sample, self.detector
+        return self.theta_in, self.theta_in + self.theta_out
+
+
+class Expose(Asked):
+    """A spectrum that is shown and not kept."""
+
+    integration_time: float = Field(gt=0, le=3600, allow_inf_nan=False, description="Seconds.", examples=[0.1])
+    dark: bool = Field(default=False, description="Whether the shutter is closed.")
+
+
+class Spectrum(Body):
+    """The last spectrum that was read."""
+
+    number: int = Field(description="The device's running number.")
+    wavelengths: list[float] = Field(description="[pixels] nanometres.")
+    counts: list[int] = Field(description="[pixels] raw counts.")
+    integration_time: float = Field(description="Seconds.")
+    saturation: int = Field(description="Counts at and above which a pixel is saturated.")
     shutter: Literal["open", "closed", "unknown"]
-    theta_in: float | None
-    """Where the arm stood, degrees."""
+    theta_in: float | None = Field(description="Where the arm stood, degrees.")
     theta_out: float | None
-    detector_temperature: float
-    """Degrees Celsius."""
-    moment: str
-    """ISO 8601, UTC."""
+    detector_temperature: float = Field(description="Degrees Celsius.")
+    moment: str = Field(description="ISO 8601, UTC.")
 
 
-@dataclass(frozen=True)
-class Call:
-    """A command for the process that drives the bench."""
+class Moment(Body):
+    """What was read of the bench at some moment."""
 
-    number: int
-    name: str
-    arguments: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What came of a call: a value, or why not."""
-
-    number: int
-    value: Any = None
-    refusal: tuple[str, str] | None = None
-    """Kind and sentence of an error; see `api.bench.link`."""
-
-
-@dataclass(frozen=True)
-class Told:
-    """An event for all listeners."""
-
-    kind: EventKind
-    data: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Doing:
-    """How far a call is."""
-
-    number: int
-    share: float
-    """0 to 1."""
-    words: str
-    """What is done next."""
-
-
-Message = Doing | Answer | Told | BenchState | Snapshot
-"""What the process that drives the bench says."""
+    moment: str = Field(description="ISO 8601, UTC.")
+    detector_temperature: float | None = Field(description="Degrees Celsius.")
+    lamp_on_for: float | None = Field(description="Seconds.")

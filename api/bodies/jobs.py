@@ -1,55 +1,60 @@
-"""What somebody asks of each kind of job; the numbers and names are those of the command line."""
+"""Jobs, and what somebody asks of each kind; the numbers and names are those of the command line."""
 
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from analysis.bsdf_search import Budget
-from analysis.choices import MODELS, Distribution, Engine, Weight
-from analysis.fresnel import load_conductor
+from analysis.choices import MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR, Distribution, Engine, Weight
+from api.bodies.base import Asked, Body
 from api.choices import Kind as ChartKind
-from api.exports.formats import FORMATS
-from api.results.certificates import known_certificate
-from api.results.foreign_scene import check_foreign_scene
-from api.results.products import conductor_name
-from api.results.quality import settings_of
 from goniometer.choices import Quantity
-from goniometer.errors import InputError
-from goniometer.store import Store
-from simulators.choices import METHODS
-from simulators.ensemble import jobs
-from simulators.regimes import REGIMES
+from simulators.choices import ABOUT, METHODS
+
+State = Literal["waiting", "running", "done", "failed", "cancelled", "interrupted"]
+OPEN: tuple[State, ...] = ("waiting", "running")
 
 
-class Arguments(BaseModel):
-    """What somebody asks of a job."""
+class JobView(Body):
+    """A piece of work that takes longer than an answer may."""
 
-    model_config = ConfigDict(extra="forbid")
+    id: int
+    kind: str = Field(examples=["fit"])
+    title: str = Field(description="What kind it is, for a person.")
+    who: str = Field(description="Who asked for it.")
+    state: State = Field(description='"interrupted": the service ended before it did; it can be run again.')
+    share: float | None = Field(description="How much of it is done, 0 to 1; null where nobody can tell.")
+    words: str = Field(description="What it does now.")
+    reason: str = Field(description="Why it did not come to its end, as a sentence; empty else.")
+    arguments: dict[str, Any] = Field(description="What was asked for.")
+    created: str = Field(description="ISO 8601, UTC, as all times here.")
+    started: str | None
+    finished: str | None
+    has_result: bool = Field(description="Whether there is JSON at /api/jobs/{id}/result.")
+    has_page: bool = Field(description="Whether there is HTML at /api/jobs/{id}/page.")
 
-    def check(self, store: Store) -> None:
-        """Raise what can be known to be wrong before the work begins."""
+
+class Upload(Body):
+    """A file that was sent."""
+
+    upload: str = Field(description="By what a job is told of it.")
+    name: str
+    size: int = Field(description="Bytes.")
 
 
-class DoctorArguments(Arguments):
+class DoctorArguments(Asked):
     """How the devices are examined."""
 
     home: bool = Field(default=False, description="Home stages that do not know their reference; look before.")
 
 
-class OfDataset(Arguments):
+class OfDataset(Asked):
     """A job on one dataset."""
 
     dataset: int = Field(ge=1, lt=2**63, description="Id of the dataset.")
 
-    def check(self, store: Store) -> None:
-        """Raise `NotInStore` where there is no such dataset."""
-        store.entry(self.dataset)
 
-
-class HowAsked(BaseModel):
+class HowAsked(Asked):
     """What may be chosen of a fit."""
-
-    model_config = ConfigDict(extra="forbid")
 
     model: str | None = Field(default=None, description=f"Only this: {', '.join(MODELS)}; null: all of a scan's end.")
     engine: Engine = "fast"
@@ -61,18 +66,9 @@ class HowAsked(BaseModel):
 class FitArguments(HowAsked, OfDataset):
     """Fit a dataset anew."""
 
-    def check(self, store: Store) -> None:
-        """Raise `InputError` for an unknown model, `UnknownConductor` for an unknown metal, and `NotInStore`."""
-        super().check(store)
-        if self.model is not None and self.model not in MODELS:
-            raise InputError(f'There is no model "{self.model}"; there are {", ".join(MODELS)}.')
-        load_conductor(*conductor_name(self.conductor))
 
-
-class ExportOptions(BaseModel):
+class ExportOptions(Asked):
     """What a format lets one say; files are named by their uploads."""
-
-    model_config = ConfigDict(extra="forbid")
 
     raw: bool = Field(default=False, description="With all raw exposures.")
     license: str | None = Field(default=None, max_length=100, description="SPDX identifier.", examples=["CC-BY-4.0"])
@@ -80,14 +76,12 @@ class ExportOptions(BaseModel):
     attached: list[str] = Field(default=[], max_length=100, description="Uploads of files that belong to the sample.")
     about: str | None = Field(default=None, description="Upload of a YAML file of what no database knows.")
     model: str | None = Field(default=None, max_length=40, description="Name of the fitted model.")
-    budget: float = Field(default=Budget.error, ge=1e-4, le=1, description="Relative error of 99 of 100 directions.")
-    colour_budget: float = Field(default=Budget.colour, ge=0.01, description="dE00 of 99 of 100 directions.")
+    budget: float = Field(default=USUAL_ERROR, ge=1e-4, le=1, description="Relative error of 99 of 100 directions.")
+    colour_budget: float = Field(default=USUAL_COLOUR_ERROR, ge=0.01, description="dE00 of 99 of 100 directions.")
 
 
-class ExportAsked(BaseModel):
+class ExportAsked(Asked):
     """In which format a dataset leaves the house."""
-
-    model_config = ConfigDict(extra="forbid")
 
     format: str = Field(description="One of those that GET /api/exports/formats lists.", examples=["hdf5"])
     options: ExportOptions = ExportOptions()
@@ -96,23 +90,12 @@ class ExportAsked(BaseModel):
 class ExportArguments(ExportAsked, OfDataset):
     """Write a dataset for others."""
 
-    def check(self, store: Store) -> None:
-        """Raise `InputError` for an unknown format or option, and `NotInStore`."""
-        super().check(store)
-        if self.format not in FORMATS:
-            raise InputError(f'There is no format "{self.format}"; there are {", ".join(FORMATS)}.')
-        known = FORMATS[self.format].uses
-        if unknown := sorted(self.options.model_dump(exclude_defaults=True).keys() - set(known)):
-            raise InputError(
-                f"An export to {self.format} has no option {unknown[0]}; it has {', '.join(known) or 'none'}."
-            )
-
 
 class ReportArguments(OfDataset):
     """Write the report of a dataset."""
 
 
-class ImportAsked(Arguments):
+class ImportAsked(Asked):
     """What a person says of an uploaded file; null is what is not said."""
 
     upload: str = Field(description="Of the file, as POST /api/uploads has told.")
@@ -133,10 +116,8 @@ class ImportAsked(Arguments):
     saturation: float | None = Field(default=None, ge=1, description="Raw text: counts of a saturated pixel.")
 
 
-class RecalibrationAsked(BaseModel):
+class RecalibrationAsked(Asked):
     """How raw data is calibrated anew."""
-
-    model_config = ConfigDict(extra="forbid")
 
     certificate: str | None = Field(default=None, description="SHA-256 of a known certificate; null: as before.")
     without: list[str] = Field(default=[], description="Corrections to leave out.")
@@ -154,15 +135,8 @@ class RecalibrationAsked(BaseModel):
 class RecalibrateArguments(RecalibrationAsked, OfDataset):
     """Calibrate the raw data of a dataset anew."""
 
-    def check(self, store: Store) -> None:
-        """Raise `InputError` for an unknown correction, and `NotInStore`."""
-        super().check(store)
-        settings_of(self.without, self.also)
-        if self.certificate is not None:
-            known_certificate(store, self.certificate)
 
-
-class TradeoffArguments(Arguments):
+class TradeoffArguments(Asked):
     """Chart speed against accuracy on the machine of the service."""
 
     kinds: list[ChartKind] = Field(default=list(ChartKind), min_length=1)
@@ -184,22 +158,13 @@ class TradeoffArguments(Arguments):
     dielectric: bool = Field(default=False, description="Models: take the ladder of a dielectric.")
     rounds: int = Field(default=5, ge=1, le=50, description="How often everything is timed.")
 
-    def check(self, store: Store) -> None:
-        """Raise `NotInStore` where there is no such dataset."""
-        if self.dataset is not None:
-            store.entry(self.dataset)
 
-
-class StabilityArguments(Arguments):
+class StabilityArguments(Asked):
     """Fit difficult measurements of known truth with every method."""
 
-    regimes: list[str] = Field(default=[], description=f"Only these: {'; '.join(REGIMES)}.")
+    regimes: list[str] = Field(default=[], description=f"Only these: {'; '.join(ABOUT)}.")
     methods: list[str] = Field(default=[], description=f"Only these: {'; '.join(METHODS)}.")
     runs: int = Field(default=5, ge=1, le=1000, description="Measurements of every cell of the map.")
-
-    def check(self, store: Store) -> None:
-        """Raise `InputError` for an unknown regime or method."""
-        jobs(self.regimes, self.methods, 1)
 
 
 class ChooseArguments(OfDataset):
@@ -210,9 +175,3 @@ class ChooseArguments(OfDataset):
     tolerance: float = Field(default=1.0, ge=0.01, description="Largest mean dE00 in the scene.")
     dielectric: bool = Field(default=False, description="Take the ladder of a dielectric.")
     rendering: bool = Field(default=True, description="Verify by rendering, where Mitsuba is installed.")
-
-    def check(self, store: Store) -> None:
-        """Raise `InputError` for a scene of Mitsuba that reaches for files, and `NotInStore`."""
-        super().check(store)
-        if self.scene_format == "mitsuba":
-            check_foreign_scene(self.scene)
