@@ -13,6 +13,7 @@ from analysis.tradeoff_models import model_charts
 from api.commands.main import main
 from drivers.arrays import FloatArray
 from goniometer.plan_spec import PlanSpec
+from simulators import tradeoff_simulations
 from simulators.materials import material, true_brdf
 from simulators.topography import topography
 from simulators.tradeoff_bench import drawn
@@ -61,6 +62,7 @@ def test_fits_of_the_bench_come_out_right_by_every_engine_at_all_wavelengths() -
 def test_more_rays_and_finer_transforms_err_less(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tradeoff_simulations, "RAYS", (1_000, 10_000))
     monkeypatch.setattr(tradeoff_simulations, "REFERENCE_RAYS", 100_000)
+    monkeypatch.setattr(tradeoff_simulations, "WINDOWS", (1,))
     field = topography("gaussian:0.5:4", 64, 0.25, 1, micro=False).field
     rays, sums, waves = simulation_charts("made", field, 1, lambda _: None)
     errors = [choice.error for choice in rays.choices]
