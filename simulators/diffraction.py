@@ -104,8 +104,9 @@ def diffraction_integral(
         part = slice(first, first + rows)
         strengths = (amplitude[part] * field.pitch_um**2) * np.exp(1j * ky * y[part])[:, None]
         places = np.broadcast_to(x, strengths.shape).ravel()
+        # on one thread: a second one gains nothing here, and in a small transform costs many times what it saves
         total += finufft.nufft2d3(
-            places, heights[part].ravel(), strengths.ravel(), kx.ravel(), kz.ravel(), eps=precision, isign=1
+            places, heights[part].ravel(), strengths.ravel(), kx.ravel(), kz.ravel(), eps=precision, isign=1, nthreads=1
         )
     return total.reshape(kx.shape)
 
