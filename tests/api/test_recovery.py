@@ -21,9 +21,7 @@ SEEDS = range(1, 11)
 def z_scores(folder: Path, seed: int) -> list[list[float]]:
     """(fitted - true) / standard error of alpha, h and w, for Samples 1 and 4, measured with this seed."""
     store = Store.open(folder / f"{seed}.db")
-    campaign = Campaign(
-        name="Recovery", seed=seed, samples=SAMPLES[:2], incident=(0.0, 20.0, 40.0, 60.0, 80.0), monitor=None
-    )
+    campaign = Campaign(name="Recovery", seed=seed, samples=SAMPLES[:2], incident=(0.0, 40.0, 70.0), monitor=None)
     found = []
     for scan in measure(store, campaign):
         if scan.kind == "sample":
