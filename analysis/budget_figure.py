@@ -229,7 +229,7 @@ def budget_table(found: Budget) -> str:
     return (
         f'<div class="wide"><table><thead><tr><th>source of error</th>{head}<th>the same for</th></tr></thead>'
         f"<tbody>{''.join(rows)}</tbody><caption>{_direction(found.theta_in, found.theta_out)}, "
-        f"{found.wavelength:.1f} nm: f = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded uncertainty "
+        f"{found.wavelength:.1f} nm: BRDF = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded uncertainty "
         f"± {uncertainty(found.expanded)} 1/sr (k = {COVERAGE_FACTOR}: {COVERAGE}).</caption></table></div>"
     )
 

@@ -115,7 +115,7 @@ def colour_map(
         return _map(dataset, fills, [""] * f.size, name, title)
     words = [flag_words(int(flags)) for flags in dataset.flags]
     extra = [
-        f"f(600 nm) = {with_uncertainty(value, error)} 1/sr{'; ' if flagged else ''}{flagged}"
+        f"BRDF at 600 nm = {with_uncertainty(value, error)} 1/sr{'; ' if flagged else ''}{flagged}"
         for value, error, flagged in zip(f, u, words, strict=True)
     ]
     return _map(dataset, fills, extra, name, title, dataset.flags != 0, _unmeasured_cells(dataset, filled, exposure))

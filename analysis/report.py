@@ -179,7 +179,7 @@ def _lineage(dataset: Dataset) -> str:
     known = {
         "data, SHA-256": dataset.content_hash,
         **({} if dataset.simulated else _stages(dataset)),
-        **{name.replace("_", " "): _short(value) for name, value in dataset.lineage.items() if value is not None},
+        **{name.replace("_", " "): _short(value) for name, value in dataset.lineage.items() if value not in (None, [])},
     }
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in known.items())
     return f'<h2>Where the numbers come from</h2><div class="wide"><table><tbody>{rows}</tbody></table></div>'

@@ -203,7 +203,8 @@ def _error_table(analysis: SampleAnalysis) -> str:
         return ""
     rows = []
     for fit in fits:
-        first = f'<td rowspan="{len(fit.parameters)}">{MODEL_NAMES[fit.model]}</td>'
+        # a row of its own: beside the numbers it would make the table wider than the page
+        rows.append(f'<tr><td colspan="{1 + len(parts)}"><strong>{MODEL_NAMES[fit.model]}</strong></td></tr>')
         for parameter in fit.parameters:
             largest = max(parameter.error_by_part.values(), default=0.0)
             cells = []
@@ -213,12 +214,11 @@ def _error_table(analysis: SampleAnalysis) -> str:
                 shown = uncertainty(error) if error >= 1e-3 * parameter.standard_error else "–"
                 cells.append(f'<td class="number{most}">{shown}</td>')
             unit = "" if parameter.unit == "1" else f" in {_UNIT[parameter.unit]}"
-            rows.append(f"<tr>{first}<td><code>{escape(parameter.name)}</code>{unit}</td>{''.join(cells)}</tr>")
-            first = ""
+            rows.append(f"<tr><td><code>{escape(parameter.name)}</code>{unit}</td>{''.join(cells)}</tr>")
     head = "".join(f'<th class="number">{part}</th>' for part in parts)
     return (
         "<h3>What the parameters' uncertainty is made of</h3>"
-        f'<div class="wide"><table class="dense"><thead><tr><th>model</th><th>parameter</th>{head}</tr></thead>'
+        f'<div class="wide"><table class="dense"><thead><tr><th>parameter</th>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody>"
         "<caption>Standard uncertainty (coverage factor 1) that each part of the budget gives to a parameter, in the "
         "parameter's unit; the root of the sum of their squares stands in brackets above. Bold: the largest; –: below "

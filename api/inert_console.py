@@ -1,5 +1,7 @@
 """A console that nothing which comes from a file or another person can command."""
 
+import os
+import sys
 from typing import Any
 
 from rich.console import Console
@@ -21,6 +23,15 @@ class InertConsole(Console):
         super().__init__(**how)
         if not self.is_terminal:
             self.width = LONGEST_LINE
+
+    def on_broken_pipe(self) -> None:
+        """Whoever read has gone: progress falls silent, as no scan may end of that; a result ends with the command."""
+        if not self.stderr:
+            super().on_broken_pipe()
+        self.quiet = True
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stderr.fileno())
+        os.close(nowhere)
 
     def render_str(self, text: str, **how: Any) -> Text:
         """A text as it is shown, also that of a cell of a table."""

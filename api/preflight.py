@@ -50,16 +50,17 @@ def preflight(store: Store, campaign: Campaign, settings: InstrumentSettings | N
         lambda: _check_certificate(store, campaign, panel_certificate(campaign, settings)),
         lambda: _check_folders(store, campaign),
         lambda: _check_reach(campaign, settings),
+        lambda: store.check_begun(
+            with_materials(campaign) if settings is None else campaign, panel_certificate(campaign, settings)
+        ),
     ]
-    if settings is None:
-        checks.append(lambda: with_materials(campaign))
-    found = []
+    found: dict[str, None] = {}  # more than one reads the certificate
     for check in checks:
         try:
             check()
         except GoniometerError as error:
-            found.append(str(error))
-    return found
+            found[str(error)] = None
+    return list(found)
 
 
 def check_all(store: Store, campaign: Campaign, certificate: str | None, settings: InstrumentSettings | None) -> None:

@@ -87,7 +87,7 @@ class Preview:
             wanted = self.colour_tolerance
             colours = "" if wanted is None else f" and colours to a mean dE00 of {wanted:g}"
             told.append(
-                f"Samples are refined until ln(1 + cos(theta_in) f) is known everywhere to {self.tolerance:g} (rms)"
+                f"Samples are refined until ln(1 + cos(theta_in) BRDF) is known everywhere to {self.tolerance:g} (rms)"
                 f"{colours}, as far as the noise supports it; a uniform 1° grid has {self.uniform_1_degree_points} "
                 f"points a sample."
             )

@@ -163,6 +163,6 @@ def in_words(found: Reached) -> str:
         return f"{found.points} points: too few to say how well the BRDF is known between them."
     why = "" if found.stopped is None else f"; {_WHY[found.stopped]}"
     return (
-        f"{found.points} points: between them ln(1 + cos(theta_in) f) is known to {found.error:.2g} (rms) and "
+        f"{found.points} points: between them ln(1 + cos(theta_in) BRDF) is known to {found.error:.2g} (rms) and "
         f"colours to a mean dE00 of {found.colour_error:.2g}{why}."
     )

@@ -10,8 +10,8 @@ from goniometer.campaign import Campaign, Sample
 from goniometer.errors import CampaignError
 from goniometer.material_file import material_file
 from goniometer.scene_weights import read_weights
-from goniometer.wording import describe
-from goniometer.yaml_text import parsed_yaml
+from goniometer.wording import describe, ordered
+from goniometer.yaml_text import line_of, parsed_yaml
 
 
 def load_campaign(path: Path | str) -> Campaign:
@@ -28,7 +28,7 @@ def load_campaign(path: Path | str) -> Campaign:
         raise CampaignError(f"{path}: the campaign file cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise CampaignError(f"{path}: the campaign file is not UTF-8 text") from None
-    return _campaign(_content(text, str(path)), str(path), lambda name: path.parent / name)
+    return _campaign(_content(text, str(path)), str(path), lambda name: path.parent / name, text)
 
 
 def read_campaign(sent: str | dict[str, Any], folder: Path) -> Campaign:
@@ -46,8 +46,9 @@ def read_campaign(sent: str | dict[str, Any], folder: Path) -> Campaign:
             raise CampaignError(f"campaign: {name!r} lies outside the folder of the service's files; put it in there")
         return path
 
-    content = _content(sent, "campaign") if isinstance(sent, str) else sent
-    return _campaign(content, "campaign", inside)
+    if isinstance(sent, str):
+        return _campaign(_content(sent, "campaign"), "campaign", inside, sent)
+    return _campaign(sent, "campaign", inside)
 
 
 def _content(text: str, where: str) -> object:
@@ -58,8 +59,8 @@ def _content(text: str, where: str) -> object:
         raise CampaignError(f"{where}: the campaign file {error}") from None
 
 
-def _campaign(content: object, where: str, locate: Callable[[str], Path]) -> Campaign:
-    """The campaign of what a file holds; `locate` finds the files that it names."""
+def _campaign(content: object, where: str, locate: Callable[[str], Path], text: str = "") -> Campaign:
+    """The campaign of what a file holds; `locate` finds the files that it names, faults are looked up in its `text`."""
     if not isinstance(content, dict):
         raise CampaignError(f"{where}: a campaign is a mapping with the keys name and samples, not {_kind(content)}")
     resolution = content.get("resolution")
@@ -70,7 +71,8 @@ def _campaign(content: object, where: str, locate: Callable[[str], Path]) -> Cam
     try:
         campaign = Campaign.model_validate(content)
     except ValidationError as error:
-        raise CampaignError(f"{where}: {describe(error, Campaign)}") from None
+        lines = _lines(text, error) if text else ""
+        raise CampaignError(f"{where}{lines}: {describe(error, Campaign)}") from None
     except UnicodeEncodeError as error:  # half of a pair that stands for one character, which JSON can spell
         raise CampaignError(
             f"{where}: a text of the campaign holds {error.object[error.start]!a}, which is no character; leave it out"
@@ -82,6 +84,13 @@ def _campaign(content: object, where: str, locate: Callable[[str], Path]) -> Cam
         return campaign
     located = str(locate(certificate))
     return campaign.model_copy(update={"reference": campaign.reference.model_copy(update={"certificate": located})})
+
+
+def _lines(text: str, error: ValidationError) -> str:
+    """In which lines the faults are, that of the one that is told first, e.g. ", lines 6, 3 and 5"."""
+    told, *more = [line_of(text, fault["loc"]) for fault in ordered(error)]
+    *others, last = map(str, [told, *sorted({*more} - {told})])
+    return f", lines {', '.join(others)} and {last}" if others else f", line {last}"
 
 
 def _located(sample: Sample, locate: Callable[[str], Path]) -> Sample:

@@ -163,7 +163,7 @@ def _energy(dataset: Dataset, advice: _Advice) -> Check:
     said = (
         f"At θ in = {found.theta_in[angle]:.0f}° and {found.wavelengths[band]:.0f} nm, {rho:.3f} ± "
         f"{ENERGY_FACTOR * u:.3f} (k = {ENERGY_FACTOR:g}) of the light that falls in is reflected, if the surface is "
-        f"isotropic and f depends on the half vector above all"
+        f"isotropic and its BRDF depends on the half vector above all"
     )
     if not failed:
         return Check(name, True, f"{said}; nowhere is it more.")
@@ -351,7 +351,7 @@ def _at(dataset: Dataset, points: NDArray[np.bool_]) -> str:
 
 
 def _direction(theta_in: float, theta_out: float) -> str:
-    return f"f({theta_in:.1f}°, {round(theta_out, 1) + 0.0:.1f}°)".replace("-", "−")  # no negative zero
+    return f"BRDF({theta_in:.1f}°, {round(theta_out, 1) + 0.0:.1f}°)".replace("-", "−")  # no negative zero
 
 
 def _middle(dataset: Dataset) -> str:

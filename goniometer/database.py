@@ -32,6 +32,7 @@ _REFUSALS: tuple[tuple[str, type[StoreError], str], ...] = (
     ("not a database", StoreError, "is not a database; name a new file or one of this program"),
     ("malformed", StoreError, _DAMAGED),
     ("Could not decode", StoreError, _DAMAGED),
+    ("unable to open", StoreError, "cannot be made or opened; name a file in a folder where this account may write"),
     ("readonly", StoreError, "cannot be written by this account; give it the right to write the file and its folder"),
     ("locked", StoreBusy, "is locked by another program; close what has it open, and run the command again"),
     ("disk I/O", StoreError, "cannot be read or written: the disk refuses; see to the disk and its quota, and resume"),

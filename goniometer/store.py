@@ -8,9 +8,9 @@ written together or not at all.
 import json
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from sqlalchemy import bindparam, case, delete, func, insert, literal, or_, select, update
+from sqlalchemy import Connection, Row, bindparam, case, delete, func, insert, literal, or_, select, update
 
 from drivers.interfaces import Spectrum
 from goniometer import look_up, tables
@@ -61,13 +61,8 @@ class Store(Derived):
         path = campaign.reference.certificate
         certificate = certificate if path is None else read_certificate(Path(path))
         with self.alone() as connection:
-            known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
+            known = self._begun(connection, campaign, certificate)
             if known is not None:
-                if known.bench != self.bench:
-                    raise CampaignError(
-                        f'The campaign "{campaign.name}" in {self.where} belongs to the bench {known.bench}; run it '
-                        f"there, or give this one another name"
-                    )
                 mine = tables.scans.c.campaign_id == known.id
                 if known.hash == campaign.hash and known.certificate == certificate:
                     # a certificate may have expired since, and somebody answers for it
@@ -83,12 +78,6 @@ class Store(Derived):
                             .values(material=each.material)
                         )
                     return int(known.id)
-                if connection.execute(select(tables.points.c.id).join(tables.scans).where(mine)).first() is not None:
-                    changed = changed_content(Campaign.model_validate_json(known.json), campaign)
-                    raise CampaignError(
-                        f'The campaign "{campaign.name}" in {self.where} was started with {changed}; '
-                        f"undo the change to resume it, or give the changed campaign another name"
-                    )
                 connection.execute(delete(tables.scans).where(mine))
                 connection.execute(delete(tables.campaigns).where(tables.campaigns.c.id == known.id))
             campaign_id = insert_row(
@@ -120,6 +109,31 @@ class Store(Derived):
                     phase="idle",
                 )
             return campaign_id
+
+    def check_begun(self, campaign: Campaign, certificate: str | None) -> None:
+        """Raise `CampaignError` where `add_campaign` would."""
+        with self.reading() as connection:
+            self._begun(connection, campaign, certificate)
+
+    def _begun(self, connection: Connection, campaign: Campaign, certificate: str | None) -> Row[Any] | None:
+        """The campaign of this name, None where there is none; raises `CampaignError` for one that stays another."""
+        known = connection.execute(select(tables.campaigns).where(tables.campaigns.c.name == campaign.name)).first()
+        if known is None:
+            return None
+        if known.bench != self.bench:
+            raise CampaignError(
+                f'The campaign "{campaign.name}" in {self.where} belongs to the bench {known.bench}; run it there, or '
+                f"give this one another name"
+            )
+        points = select(tables.points.c.id).join(tables.scans).where(tables.scans.c.campaign_id == known.id).limit(1)
+        same = known.hash == campaign.hash and known.certificate == certificate
+        if not same and connection.execute(points).first() is not None:
+            changed = changed_content(Campaign.model_validate_json(known.json), campaign)
+            raise CampaignError(
+                f'The campaign "{campaign.name}" in {self.where} was started with {changed}; undo the change to '
+                f"resume it, or give the changed campaign another name"
+            )
+        return known
 
     def campaign(self, campaign_id: int) -> Campaign:
         """The campaign as it was started; raises `NotInStore`."""

@@ -50,9 +50,14 @@ def and_more(faults: int) -> str:
     return "" if faults == 0 else f" (and {faults} more fault{'s' if faults > 1 else ''})"
 
 
+def ordered(error: ValidationError) -> list[ErrorDetails]:
+    """What a pydantic validation found, unknown keys first: a typo explains the rest."""
+    return sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+
+
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a pydantic validation of `model` as one sentence: key path, what is wrong, what is right."""
-    faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")  # a typo explains the rest
+    faults = ordered(error)
     return _sentence(faults[0], model) + and_more(len(faults) - 1)
 
 

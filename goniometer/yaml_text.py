@@ -5,6 +5,7 @@ next, and a line of a few million digits keeps a processor busy for hours. None 
 campaign, a scene or a laboratory, so none of it is read.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -38,6 +39,25 @@ def parsed_yaml(text: str) -> object:
         raise ValueError("is nested too deeply; a few levels say everything") from None
     except (ValueError, LookupError, AttributeError) as error:  # what the loader lets through of an impossible value
         raise ValueError(f"holds a value that is not possible ({error}); write a text in quotes") from None
+
+
+def line_of(text: str, path: Sequence[int | str]) -> int:
+    """Line, counted from 1, of the key or item to which `path` leads in a text that `parsed_yaml` reads.
+
+    That of what holds it where it is missing.
+    """
+    node = yaml.compose(text, _Loader)
+    assert node is not None  # there is something in the text
+    line: int = node.start_mark.line
+    for part in path:
+        if isinstance(node, yaml.MappingNode):
+            found = next(((key, value) for key, value in node.value if key.value == part), None)
+            if found is not None:  # or it is missing, or a name of the model that nobody writes
+                line, node = found[0].start_mark.line, found[1]
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+            node = node.value[part]
+            line = node.start_mark.line
+    return line + 1
 
 
 class _Loader(yaml.SafeLoader):

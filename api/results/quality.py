@@ -144,7 +144,7 @@ def budget_lines(dataset_id: int, found: Budget, done: str) -> list[str]:
     return [
         f"Dataset {dataset_id}, {found.sample}: {done} at θ in = {found.theta_in:.2f}°, "
         f"θ out = {found.theta_out:.2f}°, {found.wavelength:.1f} nm".replace("-", "−"),
-        f"f = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded ± {uncertainty(found.expanded)} 1/sr "
+        f"BRDF = {with_uncertainty(found.brdf, found.u)} 1/sr (k = 1); expanded ± {uncertainty(found.expanded)} 1/sr "
         f"(k = {COVERAGE_FACTOR}: {COVERAGE})",
     ]
 

@@ -94,7 +94,7 @@ def test_the_table_says_all_parts_the_sum_and_the_coverage_factor(dataset: Datas
         assert f'<td class="number">{uncertainty(abs(part.u))}</td>' in table
     assert "combined, k = 1" in table
     assert "expanded, k = 2" in table
-    told = re.search(r"f = ([\d.]+)\(\d\d\) 1/sr \(k = 1\); expanded uncertainty ± ([\d.]+) 1/sr \(k = 2: 95", table)
+    told = re.search(r"BRDF = ([\d.]+)\(\d\d\) 1/sr \(k = 1\); expanded uncertainty ± ([\d.]+) 1/sr \(k = 2: 95", table)
     assert told
     assert [float(number) for number in told.groups()] == pytest.approx([found.brdf, 2 * found.u], rel=0.05)
     page = budget_page(found, budget_panels(dataset, 40, 40), "What they show.")

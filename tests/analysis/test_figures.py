@@ -77,7 +77,7 @@ def test_every_measured_cell_says_its_angles_and_its_value(rough_analysis: Sampl
     assert len(titles) == dataset.theta_in.size
     f, u = at_wavelength(dataset, 600.0)
     wanted = f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; "
-    assert wanted + f"f(600 nm) = {with_uncertainty(f[7], u[7])} 1/sr" in titles
+    assert wanted + f"BRDF at 600 nm = {with_uncertainty(f[7], u[7])} 1/sr" in titles
 
 
 def test_a_flagged_cell_is_outlined_and_says_for_what(rough_analysis: SampleAnalysis) -> None:
@@ -98,7 +98,7 @@ def test_a_flagged_cell_is_outlined_and_says_for_what(rough_analysis: SampleAnal
     (first,) = [
         t for t in titles if t.endswith("saturated at the shortest integration time, negative beyond the noise")
     ]
-    assert first.startswith(f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; f(600 nm) = ")
+    assert first.startswith(f"θ in {dataset.theta_in[7]:.1f}°, θ out {dataset.theta_out[7]:.1f}°; BRDF at 600 nm = ")
     assert sum(t.endswith("footprint leaves the sample") for t in titles) == 1
     assert drawn(True, dataset)[1] == 0
     assert drawn(False, flagged)[1] == 0

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from analysis.fit_json import fit_from_json
+from api.preflight import preflight
+from goniometer.campaign_file import load_campaign
+from goniometer.store import Store
 
 Small = tuple[Path, dict[str, Any]]
 
@@ -65,6 +68,10 @@ def test_a_changed_campaign_does_not_resume_under_the_old_name(cli: Any, small: 
     assert done.returncode == 2
     assert "started with other content" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+    store = Store.open(folder / "goniometer.db")
+    assert preflight(store, load_campaign(folder / "small.yaml"), None) == []
+    (found,) = preflight(store, load_campaign(folder / "changed.yaml"), None)
+    assert "started with other content" in found
 
 
 def test_status_tells_what_is_in_the_database(cli: Any, small: Small) -> None:

@@ -64,6 +64,20 @@ def comparable(result: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
+def test_a_run_goes_on_when_nobody_reads_its_progress_any_more(
+    small: tuple[Path, dict[str, Any]], folder: Path
+) -> None:
+    with running(folder) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert "reference panel" in process.stderr.readline()
+        process.stderr.close()
+        output = process.stdout.read()
+        assert process.wait(PATIENCE) == 0
+    assert comparable(json.loads(output)) == comparable(small[1])
+
+
+@pytest.mark.slow
 def test_killed_anywhere_a_run_continues_and_ends_with_the_same_numbers(
     small: tuple[Path, dict[str, Any]], folder: Path
 ) -> None:

@@ -98,7 +98,7 @@ def test_a_report_never_says_that_a_simulation_was_measured(database: Path) -> N
     for word in ("measure", "detector blocks", "blocked", "hatch", "stage position", "elsewhere"):
         assert word not in text.lower(), word
     # the retro direction has a cell of its own
-    assert "θ in 40.0°, θ out -40.0°; f(600 nm)" in text
+    assert "θ in 40.0°, θ out -40.0°; BRDF at 600 nm" in text
 
 
 def test_a_simulation_is_not_calibrated_anew(database: Path) -> None:

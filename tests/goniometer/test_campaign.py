@@ -42,6 +42,12 @@ def test_a_quantity_means_the_same_with_any_of_its_units(tmp_path):
         ("name: a\nsamples: [{name: s, materal: m}]", ["samples[0].materal", 'did you mean "material"']),
         ("name: a\nsamples: [{name: s, material: m}, {name: t}]", ["samples[1].material", "missing"]),
         ("name: a\nsamples: []", ["samples", "at least 1"]),
+        (
+            SMALLEST + "incident: [0, 95]\nresolution:\n  tolerence: 1\n",
+            ["lines 6 and 4: resolution.tolerence", "more"],
+        ),
+        (SMALLEST + "incident:\n  - 0\n  - 10 nm\n", ["line 6: incident[1]"]),
+        (SMALLEST + "  - name: s\n", ["line 4: samples[1].material", "missing"]),
         ("name: 7\nsamples: [{name: s, material: m}]", ["name", "quotes"]),
         ("name: a\nsamples: [{name: s, material: m}, {name: s, material: n}]", ["samples", '"s"', "its own name"]),
         (SMALLEST + "incident: [0, 10 nm]", ["incident[1]", '"nm"', "deg"]),

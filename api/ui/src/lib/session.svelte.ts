@@ -11,6 +11,8 @@ class Session {
   me = $state<Me | null>(null);
   /** Before the server has said who this is. */
   asking = $state(true);
+  /** Why the token of the address did not do; empty where there was none. */
+  refused = $state('');
 }
 
 export const session = new Session();
@@ -85,6 +87,7 @@ export async function begin(): Promise<void> {
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
     session.me = null;
+    session.refused = token ? error.message : '';
   }
   session.asking = false;
 }
