@@ -40,8 +40,8 @@ def filled_cells(filled: Filled, fills: list[str], rows: list[tuple[float, float
         t_in, t_out = float(filled.theta_in[i]), float(filled.theta_out[i])
         bottom, top = min(rows, key=lambda row: abs(0.5 * (row[0] + row[1]) - t_in))
         words = (
-            f"θ in {t_in:.1f}°, θ out {t_out:.1f}°; BRDF at 600 nm = {with_uncertainty(float(f[i]), float(u[i]))} 1/sr, "
-            f"filled by {filled.by[i]}, not measured"
+            f"θ in {t_in:.1f}°, θ out {t_out:.1f}°; BRDF at 600 nm = {with_uncertainty(float(f[i]), float(u[i]))} "
+            f"1/sr, filled by {filled.by[i]}, not measured"
         )
         cells.append(Cell(t_out - float(half[i]), t_out + float(half[i]), bottom, top, fills[i], words))
     return cells
