@@ -13,8 +13,8 @@ from counts to 1/sr     raw, signal, scatter, drift, response, reference, certif
                         calibration, footprint, provisional
 uncertainty             sources, uncertainty, budget
 what a dataset says     dataset, averages, checks, energy, reciprocity, between, sector, fill, lineage
-the database            store, records, states, tables, service_tables, look_up, catalogue, derived, only_added,
-                        database, postgresql, filesystem
+the database            store, campaigns, records, states, tables, service_tables, look_up, catalogue, derived,
+                        only_added, database, postgresql, filesystem
 its care                backup, integrity, upgrade, migrations, archiving, archive_file
 files of our own        dataset_file, dataset_document, dataset_hdf5, dataset_table
 files of others         imported, measured_table, delimited, raw_text, published_json, bird_json, bird_metadata,
