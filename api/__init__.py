@@ -2,7 +2,7 @@
 
 Where what stands:
 
-the floors wired        service, settings, preflight, preview, datasets
+the floors wired        service, settings, stages, preflight, preview, datasets
 the command line        commands, terminal, inert_console, display, mount_request, choices
 the service             web, views, events, logs
 the bench of a service  bench

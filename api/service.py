@@ -19,7 +19,8 @@ from usb.backend import IBackend
 
 from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
 from api.results.fitting import Fits, fitting
-from api.settings import InstrumentSettings, make_stage, not_plugged_in
+from api.settings import InstrumentSettings
+from api.stages import make_stage, not_plugged_in
 from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError

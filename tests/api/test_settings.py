@@ -10,7 +10,8 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from api.settings import FAMILIES, InstrumentSettings, load_instrument, make_stage, not_plugged_in
+from api.settings import FAMILIES, InstrumentSettings, load_instrument
+from api.stages import make_stage, not_plugged_in
 from drivers.clock import WallClock
 from drivers.errors import DeviceNotFound
 from drivers.stage import Mounting
