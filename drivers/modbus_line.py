@@ -121,11 +121,12 @@ class ModbusLine:
         )
         return list(reply.registers)
 
-    async def write(self, address: int, words: list[int], *, attempts: int = 1) -> None:
+    async def write(self, address: int, words: list[int], *, attempts: int = 1, to_stop: bool = False) -> None:
         """Write registers from `address` on; raises as `read` does.
 
         More than one of `attempts` are for what may be done twice only. After `DeviceTimeout` and `ProtocolError` the
-        registers may have been written or not. `DeviceRefused` also when `write_at_once` has overtaken it.
+        registers may have been written or not. `DeviceRefused` also when `write_at_once` has overtaken it, but for what
+        is written `to_stop`: two who stop at once both do.
         """
         request = self._write_request(address, words)
         await self._ask(
@@ -133,7 +134,7 @@ class ModbusLine:
             lambda reply: (reply.address, reply.count) == (address, len(words)),
             f"writing register {address:#06x}",
             attempts,
-            self._overtakings,
+            None if to_stop else self._overtakings,
         )
 
     def write_at_once(self, address: int, words: list[int]) -> None:

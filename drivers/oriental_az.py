@@ -204,15 +204,15 @@ class OrientalAZ(Stage):
 
         async def raise_and_lower() -> None:
             try:
-                await self._set_input(bit)
+                await self._set_input(bit, to_stop=bit == STOP_BIT)
             finally:
-                await self._set_input(0)
+                await self._set_input(0, to_stop=bit == STOP_BIT)
 
         await asyncio.shield(raise_and_lower())
 
-    async def _set_input(self, bits: int) -> None:
+    async def _set_input(self, bits: int, *, to_stop: bool = False) -> None:
         """Write the input, again if need be: a bit that is written twice rises once."""
-        await self._line.write(INPUT, [bits], attempts=ATTEMPTS)
+        await self._line.write(INPUT, [bits], attempts=ATTEMPTS, to_stop=to_stop)
 
 
 def _to_words(value: int) -> list[int]:

@@ -209,7 +209,7 @@ class OwisPS(Stage):
         """
         request = self._command("STOP")
         self._port.send_now(request)
-        await self._port.send(request)
+        await self._port.send(request, to_stop=True)
         await self._port.ask(self._marker)
 
     async def _read_state(self) -> StageState:

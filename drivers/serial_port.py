@@ -179,10 +179,13 @@ class SerialPort:
                 log.warning("%s; asking again (attempt %d of %d)", error, attempt + 1, attempts)
         return await line.thread.run(self._converse, line, query)
 
-    async def send(self, command: bytes) -> None:
-        """Send `command`, which has no reply, after what waits already. Raises as `ask` does."""
+    async def send(self, command: bytes, *, to_stop: bool = False) -> None:
+        """Send `command`, which has no reply, after what waits already.
+
+        Raises as `ask` does, but no `DeviceRefused` for what is sent `to_stop`: two who stop at once both do.
+        """
         line = self._joined()
-        await line.thread.run(self._write, line, command, self._overtakings)
+        await line.thread.run(self._write, line, command, None if to_stop else self._overtakings)
 
     def send_now(self, command: bytes) -> None:
         """Put `command`, which has no reply, on the wire at once, even while an exchange waits for its own reply.

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from httpx_sse import connect_sse
 
@@ -71,6 +72,19 @@ def uninterrupted(file: Path) -> None:
     store.close()
 
 
+def newest_is_of_the_dataset(service: Served, file: Path, scan: dict[str, Any]) -> None:
+    """The newest point of a scan that is complete has the BRDF that its dataset has there, and the uncertainty."""
+    newest = service.client.get(f"/api/scans/{scan['id']}/brdf").json()
+    store = Store.open(file)
+    data = store.dataset(scan["datasets"][0])
+    store.close()
+    here = np.isclose(data.theta_in, newest["theta_in_deg"]) & np.isclose(data.theta_out, newest["theta_out_deg"])
+    assert here.sum() == 1
+    np.testing.assert_array_equal(newest["wavelengths_nm"], data.wavelengths)
+    np.testing.assert_allclose(np.array(newest["brdf"], float), data.brdf[here][0], rtol=1e-6)
+    np.testing.assert_allclose(np.array(newest["u"], float), data.u[here][0], rtol=1e-3)
+
+
 def test_a_campaign_ends_in_a_dataset_with_every_count_as_it_should_be_although_the_bench_process_was_killed(
     tmp_path: Path,
 ) -> None:
@@ -93,6 +107,9 @@ def test_a_campaign_ends_in_a_dataset_with_every_count_as_it_should_be_although_
         assert asked == ["Mount the reference panel (Spectralon)", "Mount Sample 1", "Mount Sample 1"]
         scans = service.client.get("/api/scans").json()["items"]
         assert [len(scan["datasets"]) for scan in scans] == [0, 1]
+        newest_is_of_the_dataset(service, tmp_path / "goniometer.db", scans[1])
+        refused = service.client.get(f"/api/scans/{scans[0]['id']}/brdf")
+        assert "whose BRDF the certificate tells" in refused.json()["detail"]
         assert (tmp_path / "results" / "tiny" / "sample-1" / "report.html").exists()
     uninterrupted(tmp_path / "other.db")
     assert exposures(tmp_path / "goniometer.db") == exposures(tmp_path / "other.db")

@@ -472,6 +472,22 @@ def test_a_stop_from_elsewhere_is_not_taken_for_an_arrival(bench: Bench[Any]) ->
     bench.run(scenario)
 
 
+def test_two_who_stop_at_once_both_do(bench: Bench[Any]) -> None:
+    async def scenario(stage: RotationStage) -> None:
+        async def stop(later: float) -> None:
+            await asyncio.sleep(later)
+            await stage.stop()
+
+        await stage.begin_move(80.0)
+        # each meets the one before at another place
+        await asyncio.gather(*(stop(later) for later in (0.0, 0.0, 0.001, 0.002, 0.004)))
+        await bench.clock.sleep(5.0)
+        assert (await stage.state()).phase is StagePhase.READY
+        assert bench.axis.position() < 45.0
+
+    bench.run(scenario)
+
+
 def test_a_stop_overtakes_a_question_whose_answer_does_not_come(bench: Bench[Any]) -> None:
     async def scenario(stage: Stage) -> None:
         under_way = bench.clock.hold()
