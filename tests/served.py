@@ -18,7 +18,7 @@ from api.web.live import Live, open_live
 from api.web.patience import Patient
 
 PATIENCE = 400.0
-"""Seconds after which what should have happened is called stuck: fits give way to all else, so other tests hold them up."""
+"""Seconds after which what should have happened is called stuck; fits give way to all else, and so to other tests."""
 
 LONG: dict[str, Any] = {
     "name": "Long",
