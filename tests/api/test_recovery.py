@@ -10,7 +10,7 @@ import pytest
 from analysis.brdf_fit import brdf_fit
 from api.commands.demo import SAMPLES
 from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Resolution
+from goniometer.campaign import Campaign
 from goniometer.store import Store
 from simulators.materials import SAMPLES as MATERIALS
 from tests.benchmarks.measured import measure
@@ -22,12 +22,7 @@ def z_scores(folder: Path, seed: int) -> list[list[float]]:
     """(fitted - true) / standard error of alpha, h and w, for Samples 1 and 4, measured with this seed."""
     store = Store.open(folder / f"{seed}.db")
     campaign = Campaign(
-        name="Recovery",
-        seed=seed,
-        samples=SAMPLES[:2],
-        incident=(0.0, 20.0, 40.0, 60.0, 80.0),
-        resolution=Resolution(mode="uniform", step=5.0),
-        monitor=None,
+        name="Recovery", seed=seed, samples=SAMPLES[:2], incident=(0.0, 20.0, 40.0, 60.0, 80.0), monitor=None
     )
     found = []
     for scan in measure(store, campaign):
