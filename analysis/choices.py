@@ -22,7 +22,7 @@ BRDF_MODELS = (
     "dielectric-shift",
     "dielectric-two-component",
 )
-"""Names of the models that `analysis.brdf_fit` knows."""
+"""Names of the models that `analysis.fits.brdf_fit` knows."""
 
 MODELS = ("local", "global", "global-two-component", *BRDF_MODELS)
 """Names of all models that can be fitted."""

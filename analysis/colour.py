@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from analysis.errors import OutOfRange
-from analysis.models import LAMBDA_N
+from analysis.reflectance.models import LAMBDA_N
 from analysis.results import ColourDifferences
 from drivers.arrays import FloatArray
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.colour import delta_e_2000, rgb_to_xyz
 from drivers.arrays import FloatArray
-from goniometer.photos import Photo, PhotoSeries
+from goniometer.photographs.photos import Photo, PhotoSeries
 
 FORWARD_TILT, BACKWARD_TILT = 10.0, 32.0
 """Angle between half vector and normal, degrees, at which forward and backward scattering are shown: near the mirror

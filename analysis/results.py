@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analysis.choices import Distribution, Engine
-from analysis.fresnel import Conductor
+from analysis.reflectance.fresnel import Conductor
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Parameter:
     unit: str
     """"1" for a pure number, else e.g. "1/um"."""
     error_by_part: dict[str, float] = field(default_factory=dict)
-    """What each part of the uncertainty budget, and what the model does not describe (`analysis.misfit.PARTS_OF_FITS`),
-    gives to `standard_error`, which is the root of the sum of their squares; empty where the parameter is not
-    determined."""
+    """What each part of the uncertainty budget, and what the model does not describe
+    (`analysis.fits.misfit.PARTS_OF_FITS`), gives to `standard_error`, which is the root of the sum of their squares;
+    empty where the parameter is not determined."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ModelFit:
     """A model fitted to all points at once."""
 
     model: str
-    """One of `analysis.fits.MODELS`, "local" excepted."""
+    """One of `analysis.fits.by_name.MODELS`, "local" excepted."""
     equation: str
     """The equation in words of the paper, e.g. "f = shift F G D / (4 cos_i cos_o), Eq. 7"."""
     parameters: tuple[Parameter, ...]

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 
 class Words(NamedTuple):

@@ -16,8 +16,8 @@
 | integration_time | seconds | of the next spectrum |
 | spectrometer | - | one spectrum at each trigger, in raw counts |
 
-All of them stand on `goniometer.instrument`, so limits, forbidden regions and what must not be believed of a device
-hold here, too. Nothing is in our database: the documents are the RunEngine's. Needs the extra `bluesky`.
+All of them stand on `goniometer.bench.instrument`, so limits, forbidden regions and what must not be believed of a
+device hold here, too. Nothing is in our database: the documents are the RunEngine's. Needs the extra `bluesky`.
 """
 
 import asyncio
@@ -32,10 +32,10 @@ from typing import Any, Literal, TypeVar
 from api.service import open_instrument
 from api.settings import InstrumentSettings
 from drivers.interfaces import Spectrum
+from goniometer.bench.instrument import Instrument
 from goniometer.constants import Constants
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry, from_stages
-from goniometer.instrument import Instrument
 
 T = TypeVar("T")
 Reading = dict[str, dict[str, Any]]

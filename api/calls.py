@@ -38,7 +38,7 @@ from api.bodies.scans import NewestBrdf, PointDetail, PointView, ScanView
 from api.bodies.service import About
 from api.call import MOST, OCTETS, Call, Spectra, floats, get, post, read_spectra, reader, two_halves
 from drivers.arrays import FloatArray
-from goniometer.dataset import Kind
+from goniometer.datasets.dataset import Kind
 
 # The service and the bench
 
@@ -240,7 +240,7 @@ def fits(dataset: int) -> Call[list[FitRow]]:
 
 
 def fit_text(number: int) -> Call[str]:
-    """A fit as JSON, of which `analysis.fit_json.fit_from_json` makes the fit again bit for bit."""
+    """A fit as JSON, of which `analysis.fits.fit_json.fit_from_json` makes the fit again bit for bit."""
     return Call("GET", f"/api/fits/{number}", lambda response: response.text)
 
 

@@ -27,8 +27,8 @@ import drivers
 import goniometer
 import simulators
 from api.errors import ClusterError, VersionsDiffer
-from goniometer.derived import software_version
 from goniometer.errors import InputError
+from goniometer.storage.derived import software_version
 
 T = TypeVar("T")
 

@@ -3,18 +3,18 @@
 import hashlib
 from dataclasses import replace
 
-from goniometer import look_up
-from goniometer.calibration import calibrate_scan
-from goniometer.catalogue import Wanted
-from goniometer.certificate import Override
-from goniometer.certificate_file import parse_certificate
-from goniometer.dataset import Dataset, Kind, kind_of
+from goniometer.certificates.certificate import Override
+from goniometer.certificates.certificate_file import parse_certificate
+from goniometer.datasets.dataset import Dataset, Kind, kind_of
 from goniometer.errors import InputError, NotInStore
-from goniometer.exposure import below_wanted
-from goniometer.lineage import own_datasets
-from goniometer.records import Scan
-from goniometer.response import STANDARD, Settings
-from goniometer.store import Store
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.radiometry.response import STANDARD, Settings
+from goniometer.scans.exposure import below_wanted
+from goniometer.storage import look_up
+from goniometer.storage.catalogue import Wanted
+from goniometer.storage.lineage import own_datasets
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
 
 _NAMED = 50
 """Datasets that are named to who asks for another."""

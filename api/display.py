@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from goniometer.progress import Progress
-    from goniometer.records import Expected
+    from goniometer.scans.progress import Progress
     from goniometer.states import Kind
+    from goniometer.storage.records import Expected
 
 
 LOG_INTERVAL = 5.0
@@ -53,7 +53,7 @@ def called(name: str, kind: Kind) -> str:
 def span(time: Expected) -> str:
     """A time with its limits; these are left out where all are the same.
 
-    >>> from goniometer.records import Expected
+    >>> from goniometer.storage.records import Expected
     >>> span(Expected(725.0, 600.0, 905.0)), span(Expected(50.0, 50.0, 50.0))
     ('12 min 05 s (10 min 00 s to 15 min 05 s)', '50 s')
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from goniometer.records import Scan
+    from goniometer.storage.records import Scan
 
 
 def mount_request(scan: Scan) -> tuple[str, str]:

@@ -8,19 +8,20 @@ import numpy as np
 
 from api.results.derive import slug
 from api.settings import InstrumentSettings
-from goniometer.calibration import check_certificate
-from goniometer.campaign import Campaign, Sample
-from goniometer.certificate import NOMINAL_SRS99, Override
-from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
+from goniometer.bench.safety import Forbidden, grown, raised
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.campaigns.material_file import Content, material_file
+from goniometer.certificates.certificate import NOMINAL_SRS99, Override
+from goniometer.certificates.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.errors import CampaignError, GoniometerError
 from goniometer.geometry import LARGEST_ANGLE
-from goniometer.material_file import Content, material_file
-from goniometer.plan import plan_spec, reference_points
-from goniometer.response import STANDARD
-from goniometer.safety import Forbidden, check_plan, grown, raised
-from goniometer.store import Store
-from simulators.materials import PANEL_CERTIFICATE, material
-from simulators.tabulated import Tabulated, check_reach
+from goniometer.plans.plan import plan_spec, reference_points
+from goniometer.plans.reach import check_plan
+from goniometer.radiometry.calibration import check_certificate
+from goniometer.radiometry.response import STANDARD
+from goniometer.storage.store import Store
+from simulators.materials.materials import PANEL_CERTIFICATE, material
+from simulators.materials.tabulated import Tabulated, check_reach
 
 SAMPLE_STAGE_LIMITS = (0.0, LARGEST_ANGLE + 5.0)
 DETECTOR_STAGE_LIMITS = (-LARGEST_ANGLE, 2 * LARGEST_ANGLE)

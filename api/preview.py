@@ -3,19 +3,19 @@
 import math
 from dataclasses import dataclass, replace
 
-from analysis.budget_figure import side_by_side
-from analysis.plan_figure import arm_view, polar_view
+from analysis.figures.budget import side_by_side
+from analysis.figures.plan import arm_view, polar_view
 from api.display import duration, span
-from goniometer.campaign import Campaign, Integration
-from goniometer.conditions import Conditions
-from goniometer.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
-from goniometer.exposure import once
+from goniometer.bench.route import Motion, travel
+from goniometer.campaigns.campaign import Campaign, Integration
+from goniometer.campaigns.conditions import Conditions
 from goniometer.geometry import Geometry
-from goniometer.plan import PlanSpec, blocked_ranges, first_points, plan_spec, reference_points, uniform_grid_size
-from goniometer.plan_spec import ORDINARY
-from goniometer.prescan import cost
-from goniometer.records import Expected
-from goniometer.route import Motion, travel
+from goniometer.plans.plan import PlanSpec, blocked_ranges, first_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.plans.plan_spec import ORDINARY
+from goniometer.scans.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
+from goniometer.scans.exposure import once
+from goniometer.scans.prescan import cost
+from goniometer.storage.records import Expected
 
 
 @dataclass(frozen=True)

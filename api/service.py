@@ -25,18 +25,18 @@ from api.terminal import ask_to_mount
 from drivers.clock import Clock, WallClock
 from drivers.errors import DriverError
 from drivers.qepro import QEPro, QEProLight
-from goniometer import look_up
-from goniometer.campaign import Campaign
-from goniometer.doctor import Bench, Finding, examine, release, visit
+from goniometer.bench.doctor import Bench, Finding, examine, release, visit
+from goniometer.bench.instrument import Instrument
+from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import BenchUnfit, InputError, NotInStore
-from goniometer.instrument import Instrument
-from goniometer.lineage import lacks_dataset
-from goniometer.records import Scan
-from goniometer.scheduler import Mount, Report, run_campaign
+from goniometer.scans.scheduler import Mount, Report, run_campaign
 from goniometer.states import ACTIVE_PHASES
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
-from simulators.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
+from goniometer.storage import look_up
+from goniometer.storage.lineage import lacks_dataset
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
+from simulators.bench.laboratory import COUNTS_PER_DEGREE, STAGES, Laboratory, simulated_laboratory
 
 SAMPLE_STAGE, DETECTOR_STAGE = "sample stage", "detector stage"
 

@@ -14,12 +14,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from drivers.stage import Mounting
+from goniometer.bench.route import Motion, StageMotion
+from goniometer.bench.safety import Forbidden
 from goniometer.constants import BenchData
-from goniometer.duration import DEAD_TIME
 from goniometer.errors import ConfigurationError
-from goniometer.route import Motion, StageMotion
-from goniometer.safety import Forbidden
-from goniometer.tables import BENCH
+from goniometer.scans.duration import DEAD_TIME
+from goniometer.storage.tables import BENCH
 from goniometer.wording import key_path, nearest
 
 

@@ -15,7 +15,7 @@ from goniometer.errors import RunAborted
 
 if TYPE_CHECKING:
     from api.inert_console import InertConsole
-    from goniometer.records import Scan
+    from goniometer.storage.records import Scan
 
 Result = TypeVar("Result")
 

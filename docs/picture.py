@@ -10,11 +10,11 @@ import re
 import sys
 from pathlib import Path
 
-from analysis import figures
-from analysis.analyse import analyse
+from analysis.figures import panels
+from analysis.fits.analyse import analyse
 from api.datasets import find_datasets
-from goniometer.fill import fill, unmeasured
-from goniometer.store import Store
+from goniometer.datasets.fill import fill, unmeasured
+from goniometer.storage.store import Store
 
 SCALES, GAP, FOOT = (1.35, 1.1), 8, 24
 """How much larger than in a report each panel is; points between them and for the line below."""
@@ -28,17 +28,17 @@ def picture(database: str, sample: str) -> str:
     local = analyse(dataset, models=()).local
     filled = fill(dataset, *unmeasured(dataset, step=1.0))
     title = f"{sample}: colour of each direction under D65"
-    panels = [
-        figures.colour_map(dataset, dataset.brdf, None, "map", title, measured=True, filled=filled),
-        figures.spectra(dataset, local, "spectra"),
+    sides = [
+        panels.colour_map(dataset, dataset.brdf, None, "map", title, measured=True, filled=filled),
+        panels.spectra(dataset, local, "spectra"),
     ]
     sizes = []
-    for panel, scale in zip(panels, SCALES, strict=True):
+    for panel, scale in zip(sides, SCALES, strict=True):
         width, height = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', panel)[0]
         sizes.append((scale * float(width), scale * float(height)))
     across, up = sum(width for width, _ in sizes) + GAP, max(height for _, height in sizes)
     placed, left = "", 0.0
-    for panel, (width, height) in zip(panels, sizes, strict=True):
+    for panel, (width, height) in zip(sides, sizes, strict=True):
         place = f'x="{left:.0f}" y="{up - height:.0f}" width="{width:.0f}" height="{height:.0f}"'
         placed += panel.replace("<svg ", f"<svg {place} ", 1)
         left += width + GAP

@@ -19,11 +19,11 @@ from api.datasets import campaign_datasets
 from api.service import open_bench, run
 from api.settings import load_instrument
 from api.terminal import ask_to_mount
-from goniometer.between import interpolate
-from goniometer.campaign import Campaign, Resolution, Sample
-from goniometer.conditions import Conditions
-from goniometer.dataset import Dataset
-from goniometer.store import Store
+from goniometer.campaigns.campaign import Campaign, Resolution, Sample
+from goniometer.campaigns.conditions import Conditions
+from goniometer.datasets.between import interpolate
+from goniometer.datasets.dataset import Dataset
+from goniometer.storage.store import Store
 
 # A campaign has the keys of docs/campaign.yaml and checks them as it does those of a file.
 CAMPAIGN = Campaign(

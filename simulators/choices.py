@@ -34,7 +34,7 @@ ABOUT = {
     "outliers": "values that are wrong and do not know it",
     "saturation": "the top of the lobe is beyond full scale",
 }
-"""The regimes of `simulators.regimes` by name: what is difficult in each, in a phrase."""
+"""The regimes of `simulators.stability.regimes` by name: what is difficult in each, in a phrase."""
 
 
 class Kernel(StrEnum):

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.checks import checks_of_simulated, noise_flags
-from goniometer.dataset import Dataset
-from goniometer.derived import software_version
+from goniometer.datasets.checks import checks_of_simulated, noise_flags
+from goniometer.datasets.dataset import Dataset
+from goniometer.storage.derived import software_version
 from goniometer.uncertainty import ErrorSource
 
 PRECISION = 1e-4

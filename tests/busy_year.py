@@ -15,22 +15,22 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, create_engine, event, insert
 
-from analysis.analyse import analyse
-from analysis.fit_json import analysis_to_json, fit_to_json
+from analysis.fits.analyse import analyse
+from analysis.fits.fit_json import analysis_to_json, fit_to_json
 from drivers.interfaces import Spectrum
-from goniometer import tables
-from goniometer.campaign import Campaign, Sample
-from goniometer.catalogue import facts_of
-from goniometer.certificate_file import certificate_csv
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.certificates.certificate_file import certificate_csv
 from goniometer.constants import BenchData, Constants
-from goniometer.dataset import Check, Dataset, Flag
-from goniometer.derived import software_version
+from goniometer.datasets.dataset import Check, Dataset, Flag
 from goniometer.geometry import Geometry
-from goniometer.records import constants_json, exposure_row, pack_dataset
-from goniometer.service_tables import queue
-from goniometer.store import Store
+from goniometer.storage import tables
+from goniometer.storage.catalogue import facts_of
+from goniometer.storage.derived import software_version
+from goniometer.storage.records import constants_json, exposure_row, pack_dataset
+from goniometer.storage.service_tables import queue
+from goniometer.storage.store import Store
 from goniometer.uncertainty import ErrorSource
-from simulators.materials import PANEL_CERTIFICATE
+from simulators.materials.materials import PANEL_CERTIFICATE
 from tests.drawn_dataset import drawn_dataset
 
 SAMPLES = 9

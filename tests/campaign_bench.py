@@ -5,11 +5,11 @@ from contextlib import asynccontextmanager
 from drivers.oriental_az import OrientalAZ
 from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
-from goniometer.campaign import Override, Reference
-from goniometer.instrument import Instrument
-from goniometer.scheduler import run_campaign
-from simulators.imperfections import IDEAL
-from simulators.laboratory import simulated_laboratory
+from goniometer.bench.instrument import Instrument
+from goniometer.campaigns.campaign import Override, Reference
+from goniometer.scans.scheduler import run_campaign
+from simulators.bench.imperfections import IDEAL
+from simulators.bench.laboratory import simulated_laboratory
 
 NOMINAL_PANEL = Reference(override=Override(name="Test", reason="The panel of the simulated bench is nominal."))
 

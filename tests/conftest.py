@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
 # Tests run in several processes, one for each core: a pool of threads in each of them, for matrices as small as these,
 # would only wait for the others'. It must be said before NumPy is imported; commands that tests start inherit it.
@@ -47,7 +47,7 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path | 
 @pytest.fixture
 def either(database: Path | str) -> Iterator["Store"]:
     """The open `database`, of either kind."""
-    from goniometer.store import Store  # noqa: PLC0415
+    from goniometer.storage.store import Store  # noqa: PLC0415
 
     opened = Store.open(database)
     yield opened

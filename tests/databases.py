@@ -14,7 +14,7 @@ from psycopg import sql
 from sqlalchemy import Connection, create_engine
 from sqlalchemy.engine import URL, make_url
 
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # it says so where the machine has no folder for sockets, and takes another

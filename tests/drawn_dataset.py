@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.angular import along_theta_out, incidence_groups
-from goniometer.dataset import Dataset
+from goniometer.datasets.angular import along_theta_out, incidence_groups
+from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, everywhere
-from simulators.materials import SAMPLES, true_brdf
+from simulators.materials.materials import SAMPLES, true_brdf
 
 U_ANGLE, U_ZERO = 0.005, 0.01
 WAVELENGTHS = np.linspace(383, 778, 24)

@@ -8,7 +8,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField
+from simulators.topographies.heights import HeightField
 
 CLEARANCE = 1e-3
 """How far off its triangle a reflected ray starts, pitches: Embree would find the triangle again."""

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from simulators.bench import OpticalBench
-from simulators.clock import SimulatedClock
-from simulators.imperfections import Imperfections
+from simulators.bench.imperfections import Imperfections
+from simulators.bench.optics import OpticalBench
+from simulators.devices.clock import SimulatedClock
 
 
 class Standing:

@@ -14,13 +14,13 @@ from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
 from drivers.smc100 import SMC100
 from drivers.stage import Stage
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.k10cr1 import SimulatedK10CR1
-from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.owis import SimulatedOwisPS
-from simulators.smc100 import SimulatedSMC100
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
+from simulators.devices.k10cr1 import SimulatedK10CR1
+from simulators.devices.motion import Axis
+from simulators.devices.oriental_az import SimulatedOrientalAZ
+from simulators.devices.owis import SimulatedOwisPS
+from simulators.devices.smc100 import SimulatedSMC100
 
 NAME = "sample stage"
 COUNTS_PER_DEGREE = 1000.0

@@ -15,10 +15,10 @@ from sqlalchemy import Connection, delete, insert, select, update
 
 from api.bodies.access import LONGEST_PASSWORD
 from api.choices import ROLES, Role
-from goniometer.database import Database
 from goniometer.errors import InputError, NotInStore
-from goniometer.records import now
-from goniometer.service_tables import sessions, users
+from goniometer.storage.database import Database
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import sessions, users
 
 SHORTEST_PASSWORD = 10
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")

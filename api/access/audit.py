@@ -16,10 +16,10 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select, text
 
 from api.bodies.access import Via
-from goniometer.database import Database
 from goniometer.errors import StoreError
-from goniometer.records import now
-from goniometer.service_tables import log as table
+from goniometer.storage.database import Database
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import log as table
 
 FIRST = "0" * 64
 """What the first row has for the hash of the one before it."""

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.access.tokens import Caller, session_caller, token_caller
 from api.errors import Unauthorised
-from goniometer.database import Database
+from goniometer.storage.database import Database
 
 REMEMBERED = 1.0
 """Seconds for which it is not asked anew whose a token or a session is."""

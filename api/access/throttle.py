@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, insert, select, update
 
 from api.errors import TooManyFailures
-from goniometer.database import Database
-from goniometer.service_tables import logins as table
+from goniometer.storage.database import Database
+from goniometer.storage.service_tables import logins as table
 
 _HOUR = 3600.0
 _REMEMBERED = 90 * 24 * _HOUR

@@ -17,10 +17,10 @@ from sqlalchemy import Row, Update, bindparam, delete, select, update
 
 from api.access.accounts import add_user, all_users, at_least, lower, user
 from api.choices import FIRST_USER, Role
-from goniometer.database import Database, insert_row
 from goniometer.errors import InputError, NotInStore, StoreError
-from goniometer.records import now
-from goniometer.service_tables import sessions, tokens, users
+from goniometer.storage.database import Database, insert_row
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import sessions, tokens, users
 
 PREFIX = "gonio_"
 """Begins every token, so that one can be recognised where it should not be."""

@@ -7,27 +7,27 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from analysis.budget_figure import side_by_side
-from analysis.characterisation_figures import (
+from analysis.figures.budget import side_by_side
+from analysis.figures.characterisation import (
     alignment_panels,
     noise_panels,
     repeatability_panels,
     signature_panels,
     wavelength_panels,
 )
-from analysis.fit_json import strict_json
-from analysis.notation import with_uncertainty
+from analysis.figures.notation import with_uncertainty
+from analysis.fits.fit_json import strict_json
 from api.results.derive import Export, write_text
 from api.service import open_instrument, simulated_settings
 from api.settings import Family, InstrumentSettings
-from goniometer.alignment import Alignment
-from goniometer.characterisation import FAR, Noise, Repeatability, Signature, StageRepeatability
-from goniometer.characterise import Mount, Piece
+from goniometer.bench.instrument import Instrument
+from goniometer.characterisation.alignment import Alignment
+from goniometer.characterisation.characterise import Mount, Piece
+from goniometer.characterisation.evaluation import FAR, Noise, Repeatability, Signature, StageRepeatability
+from goniometer.characterisation.lines import WavelengthScale
 from goniometer.constants import BenchData
 from goniometer.errors import InputError
-from goniometer.instrument import Instrument
-from goniometer.lines import WavelengthScale
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 Result = Signature | Noise | Alignment | Repeatability | WavelengthScale
 Found = TypeVar("Found", bound=Result)

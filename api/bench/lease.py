@@ -14,9 +14,9 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, insert, select, update
 
-from goniometer.database import Database
-from goniometer.records import now
-from goniometer.service_tables import lease as table
+from goniometer.storage.database import Database
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import lease as table
 
 BEAT = 2.0
 """Seconds between two signs of life."""

@@ -28,9 +28,9 @@ from api.bodies.bench import BenchState
 from api.errors import Conflict
 from api.events import Events
 from drivers.errors import DriverError
-from goniometer.database import Database
 from goniometer.errors import GoniometerError
-from goniometer.records import now
+from goniometer.storage.database import Database
+from goniometer.storage.records import now
 
 HISTORY = 720
 """Moments of the past that are kept."""

@@ -23,11 +23,11 @@ from api.service import diagnose, open_instrument
 from api.settings import InstrumentSettings, SpectrometerSettings
 from drivers.errors import DriverError
 from drivers.interfaces import StagePhase, StageState
+from goniometer.bench.instrument import Instrument
 from goniometer.errors import BenchUnfit, GoniometerError, InputError
 from goniometer.geometry import Geometry, from_stages
-from goniometer.instrument import Instrument
-from goniometer.records import now
-from simulators.laboratory import Laboratory
+from goniometer.storage.records import now
+from simulators.bench.laboratory import Laboratory
 
 PATIENCE_WITH_SILENCE = 5.0
 """Seconds for which a stage that does not answer is not asked again, so that it does not hold up who mends it."""

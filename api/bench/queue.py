@@ -17,13 +17,13 @@ from typing import Any, Literal
 from sqlalchemy import ColumnElement, Connection, Row, delete, func, select, update
 
 from api.errors import Conflict
-from goniometer.campaign import Campaign
-from goniometer.database import Database, insert_row
+from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import NotInStore
-from goniometer.records import Scan, now
-from goniometer.service_tables import queue as table
 from goniometer.states import Outcome
-from goniometer.store import Store
+from goniometer.storage.database import Database, insert_row
+from goniometer.storage.records import Scan, now
+from goniometer.storage.service_tables import queue as table
+from goniometer.storage.store import Store
 
 EntryPhase = Literal["idle", "queued", "running", "finished"]
 

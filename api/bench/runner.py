@@ -23,10 +23,10 @@ from api.service import measure, mounting
 from api.settings import InstrumentSettings
 from drivers.errors import DriverError
 from goniometer.errors import CampaignError, GoniometerError, NotInStore, RunAborted, StoreError
-from goniometer.progress import Progress
-from goniometer.records import Scan, now
+from goniometer.scans.progress import Progress
 from goniometer.states import Outcome
-from goniometer.store import Store
+from goniometer.storage.records import Scan, now
+from goniometer.storage.store import Store
 
 REPORT_EVERY = 0.1
 """Seconds between two reports of progress; a simulated bench would make more of them than anybody reads."""

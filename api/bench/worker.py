@@ -39,8 +39,8 @@ from api.errors import Conflict
 from api.logs import log_as_json
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreBusy, StoreError
-from goniometer.records import now
-from goniometer.store import Store
+from goniometer.storage.records import now
+from goniometer.storage.store import Store
 
 UNHEARD = 1000
 """Messages that may wait for the service to hear them; more are dropped."""

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from api.bodies.base import Body, Number
-from goniometer.dataset import Kind
+from goniometer.datasets.dataset import Kind
 
 
 class DatasetRow(Body):

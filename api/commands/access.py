@@ -36,7 +36,7 @@ def add(
 ) -> None:
     """Let somebody in; asks for a password, or reads it from a pipe."""
     from api.access.accounts import add_user
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     store = Store.open(database)
     password = None if no_password else _new_password(name)
@@ -120,7 +120,7 @@ def create(
 ) -> None:
     """Make a token; it is shown only now."""
     from api.access.tokens import create_token, ensure_first_user
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     store = Store.open(database)
     ensure_first_user(store)

@@ -13,7 +13,7 @@ from goniometer.errors import InputError
 
 if TYPE_CHECKING:
     from api.settings import InstrumentSettings
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
 DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
 DatabaseFile = Annotated[
@@ -45,21 +45,21 @@ def chosen_dataset(store: Store, name: str) -> int:
 
 def emit(content: dict[str, Any]) -> None:
     """Print one JSON object on stdout, strict as the files are."""
-    from analysis.fit_json import strict_json
+    from analysis.fits.fit_json import strict_json
 
     sys.stdout.write(strict_json(content))
 
 
 def bench_of(named: str | None, settings: InstrumentSettings | None) -> str:
     """The bench that is meant: the one that is `named`, else that of the instrument file."""
-    from goniometer.tables import BENCH
+    from goniometer.storage.tables import BENCH
 
     return named or (BENCH if settings is None else settings.bench)
 
 
 def existing(database: str) -> Store:
     """The database, which must be there: a command that only reads makes no empty one."""
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     if "://" not in database and not Path(database).exists():
         raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")

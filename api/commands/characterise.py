@@ -15,9 +15,9 @@ from api.terminal import confirm, stderr, stdout, wait
 
 if TYPE_CHECKING:
     from api.bench.characterise import Found
-    from goniometer.certificate import PanelCertificate
-    from goniometer.characterise import Mount, Piece
-    from goniometer.instrument import Instrument
+    from goniometer.bench.instrument import Instrument
+    from goniometer.certificates.certificate import PanelCertificate
+    from goniometer.characterisation.characterise import Mount, Piece
 
 REQUESTS: dict[Piece, tuple[str, str]] = {
     "mirror": ("the mirror is mounted", "Mount the mirror, check that it lies flat against the holder"),
@@ -60,7 +60,7 @@ def signature(
     as_json: AsJson = False,
 ) -> None:
     """Instrument signature: what the bench makes of a mirror, from its peak down to the floor."""
-    from goniometer.characterise import measure_signature
+    from goniometer.characterisation.characterise import measure_signature
 
     _characterise(partial(measure_signature, theta_in=theta_in), instrument, database, output, seed, as_json=as_json)
 
@@ -79,9 +79,9 @@ def noise(
     as_json: AsJson = False,
 ) -> None:
     """Noise-equivalent and stray-light-equivalent BRDF over wavelength, for one exposure."""
-    from goniometer.certificate import NOMINAL_SRS99
-    from goniometer.certificate_file import parse_certificate, read_certificate
-    from goniometer.characterise import measure_noise
+    from goniometer.certificates.certificate import NOMINAL_SRS99
+    from goniometer.certificates.certificate_file import parse_certificate, read_certificate
+    from goniometer.characterisation.characterise import measure_noise
 
     panel: PanelCertificate = NOMINAL_SRS99
     if certificate is not None:
@@ -99,7 +99,7 @@ def alignment(
     as_json: AsJson = False,
 ) -> None:
     """Zeros of both stages, from a mirror and from the edges of the blocked sector."""
-    from goniometer.characterise import measure_alignment
+    from goniometer.characterisation.characterise import measure_alignment
 
     _characterise(measure_alignment, instrument, database, output, seed, as_json=as_json)
 
@@ -115,7 +115,7 @@ def repeatability(
     as_json: AsJson = False,
 ) -> None:
     """How well both stages come back to the same direction, on the flank of a mirror's peak."""
-    from goniometer.characterise import measure_repeatability
+    from goniometer.characterisation.characterise import measure_repeatability
 
     measure = partial(measure_repeatability, theta_in=theta_in, returns=returns)
     _characterise(measure, instrument, database, output, seed, as_json=as_json)
@@ -130,7 +130,7 @@ def wavelength(
     as_json: AsJson = False,
 ) -> None:
     """The wavelength scale against the known lines of a mercury-argon lamp."""
-    from goniometer.characterise import measure_wavelengths
+    from goniometer.characterisation.characterise import measure_wavelengths
 
     _characterise(measure_wavelengths, instrument, database, output, seed, as_json=as_json)
 
@@ -154,7 +154,7 @@ def _characterise(
     from api.bench.characterise import characterise, check_figure, content, instrument_lines, lines, write_figure
     from api.settings import load_instrument
     from goniometer.constants import BenchData
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     if output is not None:
         check_figure(output)

@@ -37,9 +37,9 @@ def choose_command(
     as_json: AsJson = False,
 ) -> None:
     """The simplest model whose colours in a scene stay within a tolerance, and why each cheaper one does not do."""
-    from analysis.asked import scene_weights
-    from analysis.choose_report import choice_body, summary, verified_lines
-    from analysis.fit_json import strict_json
+    from analysis.fits.fit_json import strict_json
+    from analysis.reports.choose import choice_body, summary, verified_lines
+    from analysis.scenes.asked import scene_weights
     from api.results.choose import choice_content, choose_model, first_pass, mitsuba_is_there
     from api.results.derive import write_rung, write_text
 

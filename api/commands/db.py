@@ -15,9 +15,9 @@ from api.terminal import stdout
 from goniometer.errors import InputError, StoreOutdated
 
 if TYPE_CHECKING:
-    from goniometer.archiving import Moved
-    from goniometer.integrity import Findings
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
+    from goniometer.upkeep.archiving import Moved
+    from goniometer.upkeep.integrity import Findings
 
 db = typer.Typer(help="Keep the database: back it up, restore, check, upgrade and archive it.", rich_markup_mode=None)
 TheDatabase = Annotated[str, typer.Argument(help="SQLite file, or URL of a PostgreSQL database.", metavar="[DATABASE]")]
@@ -36,8 +36,8 @@ def backup_command(
     as_json: AsJson = False,
 ) -> None:
     """Copy the database to a file, also while a campaign runs; the copy is checked before it gets its name."""
-    from goniometer.backup import back_up
-    from goniometer.database import Database, shown_place
+    from goniometer.storage.database import Database, shown_place
+    from goniometer.upkeep.backup import back_up
 
     store = Database.as_it_is(database)
     back_up(store, target)
@@ -58,9 +58,9 @@ def restore_command(
 ) -> None:
     """Let the database be what a backup holds, once the backup is seen to be whole."""
     from api.access import audit
-    from goniometer.backup import restore
-    from goniometer.database import shown_place
-    from goniometer.store import Store
+    from goniometer.storage.database import shown_place
+    from goniometer.storage.store import Store
+    from goniometer.upkeep.backup import restore
 
     kept = restore(backup, database, replace=replace)
     lines = [f"{shown_place(database)} is what {backup} holds."]
@@ -82,7 +82,7 @@ def restore_command(
 @db.command(name="check")
 def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Read the whole database and say in one line each what is wrong."""
-    from goniometer.database import shown_place
+    from goniometer.storage.database import shown_place
 
     found = examine(database)
     lines = [f"{fault}." for fault in found.faults] or [
@@ -101,8 +101,8 @@ def check_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> 
 @db.command(name="upgrade", cls=Logged)
 def upgrade_command(database: TheDatabase = DATABASE, as_json: AsJson = False) -> None:
     """Bring the database of an older version to this one: all of it or nothing, after a backup beside it."""
-    from goniometer.database import shown_place
-    from goniometer.upgrade import upgrade
+    from goniometer.storage.database import shown_place
+    from goniometer.upkeep.upgrade import upgrade
 
     done = upgrade(database)
     lines = done.steps or [f"{shown_place(database)} is of this version already."]
@@ -123,7 +123,7 @@ def archive_command(
     as_json: AsJson = False,
 ) -> None:
     """Move raw counts of finished scans to HDF5 files, one a scan, from which they are read on as before."""
-    from goniometer.archiving import archive_scan, finished_before
+    from goniometer.upkeep.archiving import archive_scan, finished_before
 
     store = existing(database)
     if (scan is None) == (before is None):
@@ -140,14 +140,14 @@ def unarchive_command(
     as_json: AsJson = False,
 ) -> None:
     """Bring raw counts back into the database; their files are left where they are."""
-    from goniometer.archiving import unarchive_scan
+    from goniometer.upkeep.archiving import unarchive_scan
 
     store = existing(database)
     _tell_moved(store, [unarchive_scan(store, number) for number in scan], as_json=as_json)
 
 
 def _tell_moved(store: Store, moved: list[Moved], *, as_json: bool) -> None:
-    from goniometer.archiving import give_back
+    from goniometer.upkeep.archiving import give_back
 
     smaller = give_back(store)
     freed, written = sum(each.freed for each in moved), sum(each.octets for each in moved)
@@ -165,8 +165,8 @@ def _tell_moved(store: Store, moved: list[Moved], *, as_json: bool) -> None:
 def examine(where: str) -> Findings:
     """Everything that is wrong with a database, the log of who did what included."""
     from api.access import audit
-    from goniometer.database import Database
-    from goniometer.integrity import check
+    from goniometer.storage.database import Database
+    from goniometer.upkeep.integrity import check
 
     database = Database.as_it_is(where)
     try:

@@ -7,8 +7,8 @@ from pathlib import Path
 from api.results.derive import make_folder
 from api.results.outcome import SampleOutcome, outcomes
 from api.service import Watch, run
-from goniometer.campaign import Campaign, Sample
-from goniometer.store import Store
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.storage.store import Store
 
 SAMPLES = (
     Sample(

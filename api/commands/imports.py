@@ -13,7 +13,7 @@ from api.terminal import stdout
 from goniometer.choices import Quantity
 
 if TYPE_CHECKING:
-    from goniometer.dataset import Dataset
+    from goniometer.datasets.dataset import Dataset
 
 
 def register(app: typer.Typer) -> None:
@@ -71,7 +71,7 @@ def import_command(
     """Import a BRDF that was measured elsewhere as a dataset of its own; what the file does not say, you state."""
     from api.results.imports import Request, imported_file
     from api.results.quality import quality, quality_lines
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     asked = Request(
         path=file,

@@ -47,7 +47,7 @@ class Logged(TyperCommand):
 
 def _log(context: Any, outcome: str) -> None:
     from api.access.audit import record
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
 
     database = context.params.get("database")
     if database is None or not ("://" in str(database) or Path(database).exists()):

@@ -132,8 +132,8 @@ def run_command(
     from api.results.outcome import STATED, outcomes
     from api.service import Watch, run
     from api.settings import load_instrument
-    from goniometer.campaign_file import load_campaign
-    from goniometer.store import Store
+    from goniometer.campaigns.campaign_file import load_campaign
+    from goniometer.storage.store import Store
 
     wanted = load_campaign(campaign)
     settings = load_instrument(instrument) if instrument else None
@@ -214,9 +214,9 @@ def plan(
     from api.preview import drawing, preview
     from api.results.derive import write_text
     from api.settings import load_instrument
-    from goniometer.campaign_file import load_campaign
-    from goniometer.duration import DEAD_TIME
-    from goniometer.plan_spec import ORDINARY
+    from goniometer.campaigns.campaign_file import load_campaign
+    from goniometer.plans.plan_spec import ORDINARY
+    from goniometer.scans.duration import DEAD_TIME
 
     wanted = load_campaign(campaign)
     settings = None if instrument is None else load_instrument(instrument)

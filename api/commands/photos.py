@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from analysis.photo_statistics import PhotoStatistics
-    from goniometer.photos import PhotoSeries
+    from goniometer.photographs.photos import PhotoSeries
 
 
 def register(app: typer.Typer) -> None:
@@ -35,10 +35,10 @@ def photos(
     as_json: AsJson = False,
 ) -> None:
     """Mean colours, redness and speckle of macro photographs under light from many angles."""
-    from analysis.photo_page import photo_page, photo_remarks
     from analysis.photo_statistics import photo_statistics
+    from analysis.reports.photographs import photo_page, photo_remarks
     from api.results.derive import make_folder, write_text
-    from goniometer.photos import read_series
+    from goniometer.photographs.photos import read_series
 
     read = [read_series(file, inset) for file in series]
     found = [photo_statistics(one) for one in read]
@@ -60,7 +60,7 @@ def photos(
 
 
 def _content(file: Path, series: PhotoSeries, found: list[PhotoStatistics]) -> dict[str, Any]:
-    from analysis.photo_page import photo_remarks
+    from analysis.reports.photographs import photo_remarks
 
     return {
         "file": str(file),
@@ -82,7 +82,7 @@ def _content(file: Path, series: PhotoSeries, found: list[PhotoStatistics]) -> d
 def _rows(series: PhotoSeries, found: list[PhotoStatistics]) -> Table:
     from rich.table import Table
 
-    from goniometer.budget import COVERAGE_FACTOR
+    from goniometer.datasets.budget import COVERAGE_FACTOR
 
     rows = Table(title=f"{series.sample}, camera at {series.camera_angle:g}°", title_justify="left")
     for head in ("light", "over panel", "red over blue", "dE00 from neutral", "contrast", "saturated"):

@@ -86,8 +86,8 @@ def calibrate(
     """Calibrate the raw data of a dataset anew, or of a measured sample that has none; older datasets stay."""
     from api.datasets import make_dataset, recalibrate, uncalibrated_scan
     from api.results.quality import quality, quality_lines, settings_of
-    from goniometer.certificate import Override
-    from goniometer.certificate_file import parse_certificate, read_certificate
+    from goniometer.certificates.certificate import Override
+    from goniometer.certificates.certificate_file import parse_certificate, read_certificate
 
     override = None
     if override_name is not None and override_reason is not None:

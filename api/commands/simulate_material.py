@@ -10,11 +10,11 @@ import typer
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
 from api.commands.logged import Logged
 from api.terminal import stdout
+from goniometer.campaigns.material_file import MaterialFile
 from goniometer.errors import InputError
-from goniometer.material_file import MaterialFile
 
 if TYPE_CHECKING:
-    from simulators.tabulated import Tabulated
+    from simulators.materials.tabulated import Tabulated
 
 
 def register(app: typer.Typer) -> None:
@@ -30,7 +30,7 @@ def material_command(
 ) -> None:
     """Write the BRDF of any dataset as a material that a campaign can lay on the simulated bench."""
     from api.results.derive import slug, write_material
-    from simulators.tabulated_file import read_tabulated
+    from simulators.materials.tabulated_file import read_tabulated
 
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)

@@ -37,13 +37,13 @@ def photos_command(
     """Photograph an aluminium surface at 45 degrees under an LED at -70 to 70 degrees, by wave optics."""
     from rich.progress import Progress
 
-    from analysis.fresnel import load_conductor
+    from analysis.reflectance.fresnel import load_conductor
     from api.results.derive import make_folder
-    from simulators.camera import Sensor, fineness_for, lighting_for, scene
-    from simulators.photo_session import ANGLES, CHECKED, convergence, take_series
-    from simulators.sampling import refined
-    from simulators.speckle import Lens
-    from simulators.topography import topography
+    from simulators.photographs.camera import Sensor, fineness_for, lighting_for, scene
+    from simulators.photographs.session import ANGLES, CHECKED, convergence, take_series
+    from simulators.topographies.topography import topography
+    from simulators.waves.sampling import refined
+    from simulators.waves.speckle import Lens
 
     made = topography(surface, size, pitch, seed, micro=micro)
     lens = Lens(f_number, MAGNIFICATION, CAMERA_ANGLE)

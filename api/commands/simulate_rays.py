@@ -17,11 +17,11 @@ from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 
 if TYPE_CHECKING:
-    from analysis.fresnel import Conductor
+    from analysis.reflectance.fresnel import Conductor
     from drivers.arrays import FloatArray
-    from simulators.ray_decomposition import Change
-    from simulators.ray_scan import Goniometer, RayScan
-    from simulators.topography import Topography
+    from simulators.rays.decomposition import Change
+    from simulators.rays.scan import Goniometer, RayScan
+    from simulators.topographies.topography import Topography
 
 _PATCHES = 4
 """Of a surface that is synthesised, unless said otherwise."""
@@ -67,15 +67,15 @@ def rays_command(
     as_json: AsJson = False,
 ) -> None:
     """Trace rays over a surface: in-plane BRDF by geometric optics, decomposed by the number of reflections."""
-    from analysis.fresnel import fresnel_conductor, load_conductor
+    from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
     from api.results.products import conductor_name
     from api.simulated.ray_page import chapters
     from api.simulated.ray_results import computed, decomposition, lines, warnings
-    from goniometer.database import shown_place
-    from simulators.heights import roughness
-    from simulators.ray_decomposition import CONVERGED
-    from simulators.ray_scan import Goniometer
-    from simulators.topography import topography
+    from goniometer.storage.database import shown_place
+    from simulators.rays.decomposition import CONVERGED
+    from simulators.rays.scan import Goniometer
+    from simulators.topographies.heights import roughness
+    from simulators.topographies.topography import topography
 
     metal = load_conductor(*conductor_name(conductor))
     wavelengths = _covered(metal)
@@ -159,9 +159,9 @@ def _measured(made: list[Topography], asked: Goniometer, cluster: str | None) ->
     """The scan, and what its figures would change with more of everything."""
     from api.executor import threads
     from api.simulated.ray_page import chosen
-    from simulators.ray_decomposition import coarser, convergence
-    from simulators.ray_scan import ray_scan
-    from simulators.rays import terrain
+    from simulators.rays.decomposition import coarser, convergence
+    from simulators.rays.rays import terrain
+    from simulators.rays.scan import ray_scan
 
     fields = [each.field for each in made]
     fewer = replace(asked, theta_in=asked.theta_in[chosen(asked.theta_in.size, _CHECKED)])

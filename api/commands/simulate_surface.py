@@ -49,8 +49,8 @@ def surface_command(
     from api.results.derive import make_folder, write_file
     from api.simulated.surface_facts import described, how_made, remark
     from api.simulated.surface_page import one_surface, several_surfaces, title
-    from simulators.topography import topography
-    from simulators.topography_file import write_topography
+    from simulators.topographies.topography import topography
+    from simulators.topographies.topography_file import write_topography
 
     if output is not None and (len(surfaces) > 1 or output.suffix.lower() != ".npz"):
         raise InputError(f"{output} cannot hold what is asked for; name one surface, and a file that ends in .npz.")

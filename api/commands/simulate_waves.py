@@ -18,10 +18,10 @@ from simulators.choices import FEWEST, SIDE_UM, STEP_UM, Kernel
 
 if TYPE_CHECKING:
     from drivers.arrays import FloatArray
-    from simulators.diffraction import Coherence
-    from simulators.wave_convergence import Convergence
-    from simulators.wave_scan import Setup
-    from simulators.wave_simulation import WaveSimulation
+    from simulators.waves.convergence import Convergence
+    from simulators.waves.diffraction import Coherence
+    from simulators.waves.scan import Setup
+    from simulators.waves.simulation import WaveSimulation
 
 APERTURE = 1.0
 """Usual full angle of the detector's aperture, degrees."""
@@ -85,15 +85,15 @@ def waves_command(
     """
     from rich.progress import Progress
 
-    from analysis.analyse import analyse
-    from analysis.fresnel import load_conductor
-    from analysis.local_fit import LEAST_WAVELENGTHS
+    from analysis.fits.analyse import analyse
+    from analysis.fits.local_fit import LEAST_WAVELENGTHS
+    from analysis.reflectance.fresnel import load_conductor
     from api.executor import processes
     from api.results.products import conductor_name
     from api.simulated.wave_page import page_body
     from simulators.computed import computed_dataset
-    from simulators.wave_scan import Setup, choose_patches
-    from simulators.wave_simulation import simulate
+    from simulators.waves.scan import Setup, choose_patches
+    from simulators.waves.simulation import simulate
 
     if multiple_shift is not None and not with_multiple:
         raise InputError("A shift of light that is reflected more than once needs that light: give --with-multiple.")
@@ -153,7 +153,7 @@ def _directions(incident: FloatArray, outgoing: FloatArray) -> tuple[FloatArray,
 
 
 def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
-    from simulators.diffraction import Coherence, seen_through
+    from simulators.waves.diffraction import Coherence, seen_through
 
     if s_um is not None:
         if aperture is not None:
@@ -167,8 +167,8 @@ def _coherence(aperture: float | None, s_um: float | None) -> Coherence:
 
 def _content(dataset_id: int, database: str, found: WaveSimulation, setup: Setup) -> dict[str, Any]:
     """The result as JSON."""
-    from goniometer.database import shown_place
-    from simulators.wave_simulation import equivalent_aperture
+    from goniometer.storage.database import shown_place
+    from simulators.waves.simulation import equivalent_aperture
 
     return {
         "dataset": dataset_id,
@@ -204,7 +204,7 @@ def _lines(dataset_id: int, found: WaveSimulation) -> list[str]:
     import numpy as np
 
     from simulators.computed import computed_dataset
-    from simulators.wave_convergence import CONVERGED
+    from simulators.waves.convergence import CONVERGED
 
     computed = found.computed
     middle = int(np.argmin(np.abs(computed.wavelengths - 600)))

@@ -59,7 +59,7 @@ def series(option: str, text: str) -> FloatArray:
 
 def store_computed(database: Path | str, computed: Computed) -> int:
     """Put a simulated BRDF into a database, as a dataset of no scan, and return its id."""
-    from goniometer.store import Store
+    from goniometer.storage.store import Store
     from simulators.computed import computed_dataset
 
     return Store.open(database).add_dataset(None, computed_dataset(computed))
@@ -67,7 +67,7 @@ def store_computed(database: Path | str, computed: Computed) -> int:
 
 def write_page(path: Path, title: str, body: list[str]) -> Export:
     """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
-    from analysis.page import titled_page
+    from analysis.figures.page import titled_page
     from api.results.derive import make_folder, write_text
 
     make_folder(path.resolve().parent)

@@ -14,8 +14,8 @@ from api.terminal import stderr, stdout
 from simulators.choices import ABOUT, METHODS
 
 if TYPE_CHECKING:
-    from simulators.ensemble import Cell
-    from simulators.stability import Run
+    from simulators.stability.ensemble import Cell
+    from simulators.stability.stability import Run
 
 _LEVEL, _CELL = 36, 11
 """Characters of a column of the map."""
@@ -50,7 +50,7 @@ def stability(
 
     from api.executor import processes
     from api.results.stability import TITLE, stability_body, stability_content
-    from simulators.ensemble import cells, ensemble, jobs
+    from simulators.stability.ensemble import cells, ensemble, jobs
 
     wanted = jobs(regime or list(ABOUT), method or list(METHODS), runs)
     with processes(context.obj, workers) as executor:

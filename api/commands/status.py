@@ -30,11 +30,11 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """What is in the database, and what is running."""
-    from goniometer import look_up
-    from goniometer.dataset import kind_of
-    from goniometer.dataset_file import last_file
-    from goniometer.exposure import below_wanted
+    from goniometer.datasets.dataset import kind_of
+    from goniometer.files.dataset_file import last_file
+    from goniometer.scans.exposure import below_wanted
     from goniometer.states import ACTIVE_PHASES
+    from goniometer.storage import look_up
 
     store = existing(database)
     names, running = store.campaigns(), look_up.scans_in_phases(store, ACTIVE_PHASES)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
-from goniometer.dataset_document import MEANINGS, UNITS, document, without_nan
-from goniometer.records import Exposure, Scan
-from goniometer.store import Store
+from goniometer.datasets.dataset import Dataset
+from goniometer.files.dataset_document import MEANINGS, UNITS, document, without_nan
+from goniometer.storage.records import Exposure, Scan
+from goniometer.storage.store import Store
 
 Document = tuple[str, dict[str, Any]]
 

@@ -7,20 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from analysis.bsdf_search import Budget
+from analysis.bsdf.search import Budget
 from api.exports.bluesky import bluesky_lines
 from api.exports.package import write_package
 from api.results.derive import Export, write_bytes, write_text
 from api.results.products import usual_path, write_fits, write_mitsuba
 from api.results.render import write_plugin_scene
-from goniometer.bird_json import bird_json
-from goniometer.bird_metadata import bird_metadata, read_about
-from goniometer.dataset import Dataset
-from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
-from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError, OptionError
-from goniometer.published_json import published_json
-from goniometer.store import Store
+from goniometer.files.bird_json import bird_json
+from goniometer.files.bird_metadata import bird_metadata, read_about
+from goniometer.files.dataset_hdf5 import dataset_to_hdf5, raw_of
+from goniometer.files.dataset_table import dataset_to_csv, dataset_to_parquet
+from goniometer.files.published_json import published_json
+from goniometer.storage.store import Store
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Options:
     attached: tuple[Path, ...] = ()
     """Files that belong to the sample: photographs, a topography."""
     about: Path | None = None
-    """YAML or JSON file that says what no database knows, see `goniometer.bird_metadata`."""
+    """YAML or JSON file that says what no database knows, see `goniometer.files.bird_metadata`."""
     model: str | None = None
     """Name of the fitted model."""
     budget: float = Budget.error

@@ -10,18 +10,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from analysis.bsdf_search import USUAL_BUDGET
+from analysis.bsdf.search import USUAL_BUDGET
 from analysis.errors import AnalysisError
 from api.exports.texts import Part, Published, texts
 from api.results.derive import Export, slug, write_bytes
 from api.results.products import write_dataset_report, write_fits, write_mitsuba
-from goniometer.bird_json import bird_json
-from goniometer.bird_metadata import bird_metadata
-from goniometer.dataset_hdf5 import dataset_to_hdf5, raw_of
-from goniometer.dataset_table import dataset_to_csv
 from goniometer.errors import InputError, StoreFull
-from goniometer.measured_table import read_content
-from goniometer.store import Store
+from goniometer.files.bird_json import bird_json
+from goniometer.files.bird_metadata import bird_metadata
+from goniometer.files.dataset_hdf5 import dataset_to_hdf5, raw_of
+from goniometer.files.dataset_table import dataset_to_csv
+from goniometer.files.measured_table import read_content
+from goniometer.storage.store import Store
 from goniometer.wording import check_name
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -38,10 +38,10 @@ def write_package(
 ) -> Export:
     """Write the package of a dataset to `path`: a zip file where it ends so, else a folder.
 
-    `terms` are the licence and the creators, `said` what `goniometer.bird_metadata.read_about` gives, `attached` files
-    that belong to the sample and that no database holds: photographs, a topography. The same dataset gives the same
-    bytes. Raises `InputError` for terms that are not known, a folder that has something in it, and attached files that
-    cannot be read.
+    `terms` are the licence and the creators, `said` what `goniometer.files.bird_metadata.read_about` gives, `attached`
+    files that belong to the sample and that no database holds: photographs, a topography. The same dataset gives the
+    same bytes. Raises `InputError` for terms that are not known, a folder that has something in it, and attached files
+    that cannot be read.
     """
     published = Published(*terms, store.dataset_created(dataset_id))
     if path.suffix.lower() != ".zip" and path.exists() and not (path.is_dir() and not any(path.iterdir())):

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import yaml
 
-from goniometer.dataset import Dataset
-from goniometer.dataset_document import MEANINGS, UNITS
-from goniometer.dataset_table import columns
-from goniometer.derived import software_version
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
+from goniometer.files.dataset_document import MEANINGS, UNITS
+from goniometer.files.dataset_table import columns
+from goniometer.storage.derived import software_version
 
 LICENSES = {
     "CC0-1.0": ("Creative Commons Zero v1.0 Universal", "https://creativecommons.org/publicdomain/zero/1.0/"),

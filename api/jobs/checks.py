@@ -1,7 +1,7 @@
 """What can be known to be wrong with a job before the work begins."""
 
 from analysis.choices import MODELS
-from analysis.fresnel import load_conductor
+from analysis.reflectance.fresnel import load_conductor
 from api.bodies.base import Asked
 from api.bodies.jobs import (
     ChooseArguments,
@@ -18,8 +18,8 @@ from api.results.foreign_scene import check_foreign_scene
 from api.results.products import conductor_name
 from api.results.quality import settings_of
 from goniometer.errors import InputError
-from goniometer.store import Store
-from simulators.ensemble import jobs
+from goniometer.storage.store import Store
+from simulators.stability.ensemble import jobs
 
 
 def check(store: Store, asked: Asked) -> None:

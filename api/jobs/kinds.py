@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from analysis.choose_report import choice_body
-from analysis.page import titled_page
+from analysis.figures.page import titled_page
+from analysis.reports.choose import choice_body
 from analysis.tradeoff import charts_json
 from api.bodies.base import Asked
 from api.bodies.jobs import (
@@ -35,11 +35,11 @@ from api.results.stability import TITLE as STABILITY
 from api.results.stability import stability_body, stability_content
 from api.results.tradeoff import TITLE as TRADEOFF
 from api.results.tradeoff import chapters, charts
-from goniometer.certificate import Override
-from goniometer.store import Store
+from goniometer.certificates.certificate import Override
+from goniometer.storage.store import Store
 from simulators.choices import METHODS
-from simulators.ensemble import cells, ensemble, jobs
-from simulators.regimes import REGIMES
+from simulators.stability.ensemble import cells, ensemble, jobs
+from simulators.stability.regimes import REGIMES
 
 Tell = Callable[[float | None, str], None]
 """Told which part of the work is done (None: nobody knows) and what is being done."""

@@ -13,8 +13,8 @@ from sqlalchemy import delete, select
 
 from api.access.audit import record_done
 from api.bodies.jobs import OPEN
-from goniometer.database import Database
-from goniometer.service_tables import jobs as table
+from goniometer.storage.database import Database
+from goniometer.storage.service_tables import jobs as table
 
 JOBS = "jobs"
 """Folder of the files of jobs below that of all results; each has one of its own in it."""

@@ -13,9 +13,9 @@ from typing import Any
 from sqlalchemy import Row, Select, select, update
 
 from api.bodies.jobs import OPEN, State
-from goniometer.database import Database, insert_row
-from goniometer.records import now
-from goniometer.service_tables import jobs as table
+from goniometer.storage.database import Database, insert_row
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import jobs as table
 
 BEAT = 3.0
 """Seconds between two signs of life of a service."""

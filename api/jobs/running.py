@@ -21,7 +21,7 @@ from time import monotonic
 
 from pydantic import BaseModel
 
-from analysis.fit_json import strict_json
+from analysis.fits.fit_json import strict_json
 from api.bench.link import Link
 from api.bodies.jobs import OPEN, State
 from api.errors import Conflict
@@ -34,7 +34,7 @@ from api.jobs.view import job_view
 from api.jobs.worker import Ended, begin_worker, work
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 log = logging.getLogger(__name__)
 

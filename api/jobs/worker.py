@@ -6,13 +6,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from analysis.errors import AnalysisError
-from analysis.fit_json import strict_json
+from analysis.fits.fit_json import strict_json
 from api.executor import end_with_parent
 from api.jobs.kinds import KINDS, Work
 from api.jobs.retention import JOBS
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, OptionError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 _NICE = 10
 """The bench goes before."""

@@ -6,13 +6,13 @@ from datetime import date
 
 from sqlalchemy import insert, select
 
-from goniometer import tables
-from goniometer.certificate import BrdfTable, PanelCertificate
-from goniometer.certificate_file import parse_certificate
-from goniometer.database import Database
+from goniometer.certificates.certificate import BrdfTable, PanelCertificate
+from goniometer.certificates.certificate_file import parse_certificate
 from goniometer.errors import NotInStore
-from goniometer.records import now
-from goniometer.service_tables import certificates as table
+from goniometer.storage import tables
+from goniometer.storage.database import Database
+from goniometer.storage.records import now
+from goniometer.storage.service_tables import certificates as table
 
 
 @dataclass(frozen=True)

@@ -5,24 +5,24 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from analysis.brdf_table import reference_table
-from analysis.choose import NODES, Choice, Judged, choose, least_directions
-from analysis.choose_report import RUNG_NAMES, rendered_panels, shaded, summary
-from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import load_conductor
-from analysis.ladder import DIELECTRIC_FITS, METAL_FITS, guides, roughness
-from analysis.mitsuba_run import Material, trace_mitsuba
-from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
-from analysis.page import png
-from analysis.scene import load_scene
-from analysis.scene_rays import trace
-from analysis.verify import Verification, verify
-from analysis.vertices import Vertices
+from analysis.figures.page import png
+from analysis.fits.by_name import fit_models, local_fit_for
+from analysis.mitsuba.run import Material, trace_mitsuba
+from analysis.mitsuba.scene import read_mitsuba, write_mitsuba
+from analysis.mitsuba.verify import Verification, verify
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reports.choose import RUNG_NAMES, rendered_panels, shaded, summary
+from analysis.scenes.brdf_table import reference_table
+from analysis.scenes.choose import NODES, Choice, Judged, choose, least_directions
+from analysis.scenes.ladder import DIELECTRIC_FITS, METAL_FITS, guides, roughness
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import load_scene
+from analysis.scenes.vertices import Vertices
 from api.results.products import conductor_name, last_way
-from goniometer.campaign import AngleSteps
-from goniometer.plan_spec import PlanSpec, coarse, incident
-from goniometer.scene_weights import SceneWeights
-from goniometer.store import Store
+from goniometer.campaigns.campaign import AngleSteps
+from goniometer.campaigns.scene_weights import SceneWeights
+from goniometer.plans.plan_spec import PlanSpec, coarse, incident
+from goniometer.storage.store import Store
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ def choose_model(
 ) -> Chosen:
     """The simplest model of a dataset whose mean dE00 in a scene stays below `tolerance`.
 
-    `scene_file` is one of Mitsuba's (.xml) or of `analysis.scene`. Models are fitted with the metal, distribution,
-    weight and engine of the last fit. Raises `InputError` for a scene that is none, `SceneError` for one that shows
-    nothing of the material, `RenderError` where Mitsuba fails, and what the fits raise.
+    `scene_file` is one of Mitsuba's (.xml) or of `analysis.scenes.scene`. Models are fitted with the metal,
+    distribution, weight and engine of the last fit. Raises `InputError` for a scene that is none, `SceneError` for one
+    that shows nothing of the material, `RenderError` where Mitsuba fails, and what the fits raise.
     """
     of_mitsuba = read_mitsuba(scene_file) if scene_file.suffix.lower() == ".xml" else None
     own = None if of_mitsuba is not None else load_scene(scene_file)

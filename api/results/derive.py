@@ -9,21 +9,21 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.sax.saxutils import quoteattr  # nosec B406 # it writes
 
-from analysis.analyse import analyse
-from analysis.bsdf_search import USUAL_BUDGET, Budget
+from analysis.bsdf.export import BsdfReport, report_content, report_lines, write_fit
+from analysis.bsdf.export import write_bsdf as write_model
+from analysis.bsdf.search import USUAL_BUDGET, Budget
 from analysis.errors import ExportError
-from analysis.export_mitsuba import BsdfReport, report_content, report_lines, write_fit
-from analysis.export_mitsuba import write_bsdf as write_model
-from analysis.fit_json import analysis_to_json, fit_to_json
-from analysis.fresnel import load_conductor
-from analysis.ladder import Model
-from analysis.mitsuba_run import bsdf_element
-from analysis.report import RunFacts, write_report
+from analysis.fits.analyse import analyse
+from analysis.fits.fit_json import analysis_to_json, fit_to_json
+from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_scene import vase_scene
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reports.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
-from analysis.vase_scene import vase_scene
-from goniometer.dataset import Dataset
+from analysis.scenes.ladder import Model
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import StoreFull
-from simulators.tabulated_file import write_tabulated
+from simulators.materials.tabulated_file import write_tabulated
 
 REPORT = "report.html"
 """Name of the report in the folder of a sample."""

@@ -9,17 +9,17 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 
 from analysis.errors import AnalysisError
-from analysis.report import RunFacts
+from analysis.reports.report import RunFacts
 from api.datasets import make_dataset, too_noisy
 from api.errors import ClusterError
 from api.executor import processes
 from api.results.derive import REPORT, Derived, Export, derive, slug, write_derived
 from goniometer.errors import CalibrationError, CertificateError, GoniometerError, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.lineage import own_datasets
-from goniometer.plan import plan_spec, uniform_grid_size
-from goniometer.records import Scan
-from goniometer.store import Store
+from goniometer.plans.plan import plan_spec, uniform_grid_size
+from goniometer.storage.lineage import own_datasets
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
 
 log = logging.getLogger(__name__)
 

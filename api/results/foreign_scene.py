@@ -7,7 +7,7 @@ which is a program.
 import re
 from xml.etree.ElementTree import Element  # nosec B405 # nothing is parsed by it
 
-from analysis.mitsuba_scene import parsed_xml
+from analysis.mitsuba.scene import parsed_xml
 from goniometer.errors import InputError
 
 _PLUGIN = re.compile(r"[a-z][a-z0-9_]*")

@@ -5,17 +5,17 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
-from goniometer.bird_json import parsed_json, read_bird_json
-from goniometer.certificate_file import parse_certificate, read_certificate
+from goniometer.certificates.certificate_file import parse_certificate, read_certificate
 from goniometer.choices import Quantity
-from goniometer.dataset import Dataset
-from goniometer.dataset_file import reloaded
-from goniometer.delimited import Meaning, read_delimited
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import DataFileError, OptionError
-from goniometer.imported import Stated, imported_dataset
-from goniometer.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
-from goniometer.published_json import read_published_json
-from goniometer.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
+from goniometer.files.bird_json import parsed_json, read_bird_json
+from goniometer.files.dataset_file import reloaded
+from goniometer.files.delimited import Meaning, read_delimited
+from goniometer.files.imported import Stated, imported_dataset
+from goniometer.files.measured_table import MeasuredTable, as_text, read_content, read_text, tidied
+from goniometer.files.published_json import read_published_json
+from goniometer.files.raw_text import RawText, looks_like_raw_text, ratio_to_reference, read_raw_text, within
 from goniometer.wording import check_name
 
 FileFormat = Literal["published JSON", "BiRD JSON", "raw text", "table"]

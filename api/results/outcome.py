@@ -14,16 +14,16 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from analysis.notation import roughly, with_uncertainty
+from analysis.figures.notation import roughly, with_uncertainty
 from analysis.results import ColourDifferences
 from api.datasets import too_noisy
-from goniometer.dataset import MEANING, Dataset
-from goniometer.lineage import own_datasets
-from goniometer.material_file import material_file
-from goniometer.plan import plan_spec, uniform_grid_size
-from goniometer.records import Scan
-from goniometer.store import Store
-from simulators.materials import SAMPLES, material
+from goniometer.campaigns.material_file import material_file
+from goniometer.datasets.dataset import MEANING, Dataset
+from goniometer.plans.plan import plan_spec, uniform_grid_size
+from goniometer.storage.lineage import own_datasets
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
+from simulators.materials.materials import SAMPLES, material
 
 STATED = "standard uncertainties, k = 1"
 """What a stated uncertainty is, to be said beside every table and JSON object."""

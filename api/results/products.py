@@ -8,22 +8,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from analysis.analyse import AT_THE_END_OF_A_SCAN, analyse
-from analysis.bsdf_search import Budget
+from analysis.bsdf.search import Budget
 from analysis.choices import BRDF_MODELS, MODELS, Distribution, Engine, Weight
-from analysis.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
-from analysis.fresnel import load_conductor
-from analysis.loew import weight_of
-from analysis.notation import roughly, with_uncertainty
-from analysis.report import NO_RUN
+from analysis.figures.notation import roughly, with_uncertainty
+from analysis.fits.analyse import AT_THE_END_OF_A_SCAN, analyse
+from analysis.fits.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
+from analysis.fits.loew import weight_of
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reports.report import NO_RUN
 from analysis.results import SampleAnalysis
 from api.results.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
 from api.results.fitting import run_facts
 from api.results.outcome import STATED
-from goniometer.dataset import Dataset
-from goniometer.dataset_file import last_file
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.files.dataset_file import last_file
+from goniometer.storage.store import Store
 
 
 @dataclass(frozen=True)

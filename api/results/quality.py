@@ -7,7 +7,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from analysis.budget_figure import (
+from analysis.figures.budget import (
     budget_page,
     budget_panels,
     panels_in_words,
@@ -15,14 +15,14 @@ from analysis.budget_figure import (
     share_in_words,
     side_by_side,
 )
-from analysis.notation import uncertainty, with_uncertainty
+from analysis.figures.notation import uncertainty, with_uncertainty
 from api.datasets import too_noisy
 from api.results.derive import Export, write_text
-from goniometer.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
-from goniometer.dataset import IN_FITS, MEANING, Check, Dataset, Flag
+from goniometer.datasets.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
+from goniometer.datasets.dataset import IN_FITS, MEANING, Check, Dataset, Flag
 from goniometer.errors import InputError
-from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
-from goniometer.store import Store
+from goniometer.radiometry.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
+from goniometer.storage.store import Store
 
 MARKS = {True: "✓", False: "✗", None: "?"}
 """Of a check that passed, that failed, and of one that the data cannot answer."""
@@ -92,7 +92,7 @@ def dataset_budget(
     """The budget at a direction (degrees) and wavelength (nm).
 
     What is not given is the incident angle nearest 45 degrees, the mirror direction, or what was measured nearest to
-    it, and 600 nm. Raises what `goniometer.budget.budget` raises.
+    it, and 600 nm. Raises what `goniometer.datasets.budget.budget` raises.
     """
     incident, reflected = usual_direction(dataset)
     if theta_in is not None:

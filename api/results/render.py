@@ -7,24 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.bsdf.export import describe, write_bsdf
+from analysis.bsdf.rendered_model import of_fit
 from analysis.choices import BRDF_MODELS
-from analysis.export_mitsuba import describe, write_bsdf
-from analysis.export_plugin import limiting_words, plugin_material, plugin_scene
-from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import Conductor, load_conductor
-from analysis.ladder import Microfacet
-from analysis.mitsuba_run import bsdf_element
-from analysis.render import Comparison, Pictures, Variant, compare, render_scenes, working_variant
-from analysis.render_report import difference_picture, shown
-from analysis.rendered_model import of_fit
+from analysis.fits.by_name import fit_models, local_fit_for
+from analysis.mitsuba.export_plugin import limiting_words, plugin_material, plugin_scene
+from analysis.mitsuba.render import Comparison, Pictures, Variant, compare, render_scenes, working_variant
+from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_scene import SceneFiles, vase_scene
+from analysis.reflectance.fresnel import Conductor, load_conductor
+from analysis.reports.render import difference_picture, shown
 from analysis.results import ModelFit
-from analysis.vase_scene import SceneFiles, vase_scene
+from analysis.scenes.ladder import Microfacet
 from api.choices import Through
 from api.results.derive import Export, make_folder, write_bytes, write_file
 from api.results.products import conductor_name, last_way
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 METAL = ("cook-torrance", "cook-torrance-shift")
 DIELECTRIC = ("dielectric", "dielectric-shift")

@@ -6,12 +6,12 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from analysis.page import figure
-from analysis.stability_figure import MapCell, stability_map
+from analysis.figures.page import figure
+from analysis.figures.stability import MapCell, stability_map
 from simulators.choices import METHODS
-from simulators.ensemble import Cell
-from simulators.regimes import REGIMES
-from simulators.stability import Run
+from simulators.stability.ensemble import Cell
+from simulators.stability.regimes import REGIMES
+from simulators.stability.stability import Run
 
 TITLE = "Stability of the fits"
 

@@ -4,23 +4,23 @@ from collections.abc import Callable
 
 import numpy as np
 
-from analysis.fresnel import load_conductor
+from analysis.costs.fits import fit_charts
+from analysis.costs.models import model_charts
+from analysis.figures.tradeoff import tradeoff_chapter
+from analysis.reflectance.fresnel import load_conductor
 from analysis.tradeoff import Chart
-from analysis.tradeoff_figure import tradeoff_chapter
-from analysis.tradeoff_fits import fit_charts
-from analysis.tradeoff_models import model_charts
 from api.choices import Kind
 from api.results.choose import mitsuba_is_there
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
-from goniometer.plan_spec import PlanSpec
-from simulators.materials import material, true_brdf
-from simulators.tabulated import Tabulated
-from simulators.tabulated_file import tabulated
-from simulators.topography import topography
-from simulators.tradeoff_bench import drawn
-from simulators.tradeoff_scans import scan_charts
-from simulators.tradeoff_simulations import simulation_charts
+from goniometer.datasets.dataset import Dataset
+from goniometer.plans.plan_spec import PlanSpec
+from simulators.costs.bench import drawn
+from simulators.costs.scans import scan_charts
+from simulators.costs.simulations import simulation_charts
+from simulators.materials.materials import material, true_brdf
+from simulators.materials.tabulated import Tabulated
+from simulators.materials.tabulated_file import tabulated
+from simulators.topographies.topography import topography
 
 TITLE = "Speed against accuracy"
 

@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from analysis.grating_figures import binned_spectra_figure, orders_over_spacing, slopes_over_angle
-from analysis.page import figure
+from analysis.figures.gratings import binned_spectra_figure, orders_over_spacing, slopes_over_angle
+from analysis.figures.page import figure
 from drivers.arrays import FloatArray
 from simulators.choices import Spread
 from simulators.computed import Computed
-from simulators.gratings import Lines, binned_spectra, grating_brdf, order_angles, ring, spread_periods, straight_lines
+from simulators.waves.gratings import (
+    Lines,
+    binned_spectra,
+    grating_brdf,
+    order_angles,
+    ring,
+    spread_periods,
+    straight_lines,
+)
 
 WAVELENGTHS = np.arange(400.0, 801.0, 10.0)
 LAMBDA_N = float(WAVELENGTHS.mean())

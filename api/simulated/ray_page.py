@@ -4,11 +4,11 @@ from html import escape
 
 import numpy as np
 
-from analysis.page import bullets, figure
-from analysis.ray_figures import COVERAGE, halves_panel, share_panel
-from simulators.heights import Roughness
-from simulators.ray_decomposition import BIN, CONVERGED, FEWEST, Change, halves, shares
-from simulators.ray_scan import HIGHEST, WINDOWS, RayScan
+from analysis.figures.page import bullets, figure
+from analysis.figures.rays import COVERAGE, halves_panel, share_panel
+from simulators.rays.decomposition import BIN, CONVERGED, FEWEST, Change, halves, shares
+from simulators.rays.scan import HIGHEST, WINDOWS, RayScan
+from simulators.topographies.heights import Roughness
 
 _PANELS = 5
 """Incident angles that Fig. 11 shows."""

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from analysis.fresnel import Conductor
+from analysis.reflectance.fresnel import Conductor
 from simulators.computed import Computed
-from simulators.heights import Roughness
-from simulators.ray_decomposition import CONVERGED, Change, halves, shares
-from simulators.ray_scan import WINDOWS, RayScan
-from simulators.topography import Topography
+from simulators.rays.decomposition import CONVERGED, Change, halves, shares
+from simulators.rays.scan import WINDOWS, RayScan
+from simulators.topographies.heights import Roughness
+from simulators.topographies.topography import Topography
 
 _LARGEST_ERROR, _LARGEST_LOSS = 0.1, 0.01
 """Relative standard error of the usual direction, and share of rays lost through sides, that a user hears of."""

@@ -4,9 +4,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from simulators.heights import FALLEN_TO, every_second, quarters, roughness
-from simulators.materials import SAMPLES
-from simulators.topography import MEASURED_AREA_RATIOS, Topography
+from simulators.materials.materials import SAMPLES
+from simulators.topographies.heights import FALLEN_TO, every_second, quarters, roughness
+from simulators.topographies.topography import MEASURED_AREA_RATIOS, Topography
 
 CONVERGED = 0.01
 """Relative change at twice the pitch up to which a parameter counts as independent of it."""

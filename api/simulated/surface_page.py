@@ -2,8 +2,8 @@
 
 from html import escape
 
-from analysis.page import bullets, figure
-from analysis.surface_figures import (
+from analysis.figures.page import bullets, figure
+from analysis.figures.surfaces import (
     autocorrelation_figure,
     height_histogram,
     perspective,
@@ -11,7 +11,7 @@ from analysis.surface_figures import (
     top_view,
 )
 from api.simulated.surface_facts import Described, how_made, remark, shown
-from simulators.heights import FALLEN_TO, autocorrelation, slopes
+from simulators.topographies.heights import FALLEN_TO, autocorrelation, slopes
 
 _OVERVIEW = 252.0
 """Width of a figure, points, where four stand side by side."""

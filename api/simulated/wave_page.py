@@ -4,16 +4,16 @@ from html import escape
 
 import numpy as np
 
-from analysis import figures
 from analysis.colour import has_colour
-from analysis.notation import with_uncertainty
-from analysis.page import bullets, figure
+from analysis.figures import panels
+from analysis.figures.notation import with_uncertainty
+from analysis.figures.page import bullets, figure
+from analysis.figures.shown_colours import exposure_of
 from analysis.results import SampleAnalysis
-from analysis.shown_colours import exposure_of
 from simulators.choices import Kernel
-from simulators.wave_convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
-from simulators.wave_scan import Setup
-from simulators.wave_simulation import MultiplePart, WaveSimulation, equivalent_aperture
+from simulators.waves.convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
+from simulators.waves.scan import Setup
+from simulators.waves.simulation import MultiplePart, WaveSimulation, equivalent_aperture
 
 _KERNELS = {
     Kernel.HARVEY_SHACK: "The kernel is the generalised Harvey-Shack theory. It is not reciprocal: source and detector "
@@ -93,8 +93,8 @@ def _colours(analysis: SampleAnalysis) -> str:
     if has_colour(dataset.wavelengths):
         exposure = exposure_of(dataset)
         maps = [
-            figures.colour_map(dataset, dataset.brdf, exposure, "waves", "As bright as simulated", measured=True),
-            figures.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
+            panels.colour_map(dataset, dataset.brdf, exposure, "waves", "As bright as simulated", measured=True),
+            panels.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
         ]
         parts.append(
             figure(
@@ -107,14 +107,14 @@ def _colours(analysis: SampleAnalysis) -> str:
     else:
         parts.append("<p>A map of colours needs wavelengths from 400 to 700 nm.</p>")
     curves = [
-        figures.distributions(dataset, "distributions", dense=True),
-        figures.spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
+        panels.distributions(dataset, "distributions", dense=True),
+        panels.spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
     ]
     parts.append(
         figure(
             curves,
             "Left: BRDF at 600 nm, one line for each incident angle; bands are expanded uncertainties (coverage factor "
-            f"{figures.COVERAGE}) from the spread of the patches. Right: spectra, each divided by its value at "
+            f"{panels.COVERAGE}) from the spread of the patches. Right: spectra, each divided by its value at "
             f"{analysis.local.lambda_n:g} nm, as in Fig. 6 of the paper; lines are the local fit, Eq. 2. Rising to the "
             "right means reddish, falling bluish.",
         )
@@ -126,7 +126,7 @@ def _slopes(analysis: SampleAnalysis) -> str:
     (fit,) = analysis.models
     trusted = "" if fit.verdict.trusted else " It is not to be trusted: " + " ".join(fit.verdict.reasons)
     return "<h2>Slope of the wavelength shift</h2>" + figure(
-        figures.slopes(analysis.dataset, analysis.local, fit, "slopes"),
+        panels.slopes(analysis.dataset, analysis.local, fit, "slopes"),
         "Slope m of every spectrum (Eq. 2) over the reflected angle, one panel an incident angle, as in Fig. 9 of the "
         "paper; θm is half the distance from the mirror direction. Bars are expanded uncertainties, hollow dots are "
         f"unreliable. The line is the global model (Eq. 4-5).{escape(trusted)}",

@@ -2,13 +2,13 @@
 
 from api.bodies.calibration import Drift, Reference
 from api.results.certificates import sha256_of
-from goniometer import look_up
-from goniometer.drift import lamp_series
 from goniometer.errors import CalibrationError
-from goniometer.raw import read_raw
-from goniometer.records import Scan
+from goniometer.radiometry.drift import lamp_series
+from goniometer.radiometry.raw import read_raw
 from goniometer.states import ExposureKind
-from goniometer.store import Store
+from goniometer.storage import look_up
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
 
 _OF_THE_LAMP: tuple[ExposureKind, ...] = ("dark", "monitor")
 """What tells how the lamp drifted; a scan has a hundred times as many others."""

@@ -3,17 +3,17 @@
 import numpy as np
 
 from analysis.colour import xyz_weights
-from analysis.figures import COVERAGE
-from analysis.filled_figure import at_nearest
-from analysis.noise import at_wavelength, weighted
+from analysis.figures.filled import at_nearest
+from analysis.figures.panels import COVERAGE
+from analysis.fits.noise import at_wavelength, weighted
 from api.bodies.base import numbers
 from api.bodies.plots import Distribution, Distributions, FilledCurve
 from api.views.opened import Opened
 from drivers.arrays import FloatArray
-from goniometer.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.budget import nearest_wavelength
-from goniometer.dataset import Dataset
-from goniometer.fill import Filled
+from goniometer.datasets.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.datasets.budget import nearest_wavelength
+from goniometer.datasets.dataset import Dataset
+from goniometer.datasets.fill import Filled
 
 
 def distributions(opened: Opened, wavelength: float | None, filled: Filled | None) -> Distributions:

@@ -8,14 +8,14 @@ import numpy as np
 from api.bodies.base import Number, number
 from api.bodies.calibration import Band, History, ScanHistory, WavelengthHistory
 from drivers.arrays import FloatArray
-from goniometer.checks import SAME_DIRECTION
-from goniometer.drift import lamp_drift
+from goniometer.datasets.checks import SAME_DIRECTION
 from goniometer.errors import CalibrationError
-from goniometer.look_up import detector_temperatures
-from goniometer.raw import read_raw
-from goniometer.records import Scan
-from goniometer.signal import linear
-from goniometer.store import Store
+from goniometer.radiometry.drift import lamp_drift
+from goniometer.radiometry.raw import read_raw
+from goniometer.radiometry.signal import linear
+from goniometer.storage.look_up import detector_temperatures
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
 
 BANDS_NM = (450.0, 600.0, 750.0)
 """Middles of the bands in which the response is told."""

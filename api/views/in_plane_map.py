@@ -3,20 +3,20 @@
 import numpy as np
 
 from analysis.colour import brdf_to_xyz, has_colour
-from analysis.figures import cell_edges
-from analysis.filled_figure import at_nearest, filled_cells
-from analysis.noise import LEAST_SIGNAL_FOR_HUE, flag_words, hue_is_known
-from analysis.shown_colours import Exposure, exposure_of, shown_colours
+from analysis.figures.filled import at_nearest, filled_cells
+from analysis.figures.panels import cell_edges
+from analysis.figures.shown_colours import Exposure, exposure_of, shown_colours
+from analysis.fits.noise import LEAST_SIGNAL_FOR_HUE, flag_words, hue_is_known
 from api.bodies.base import number
 from api.bodies.plots import SHOWN_AT, Edges, FilledCell, InPlaneMap, MapCell
 from api.views.listing import flag_names
 from api.views.opened import Opened
 from drivers.arrays import FloatArray
-from goniometer.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.dataset import Dataset
-from goniometer.fill import Filled
+from goniometer.datasets.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.datasets.dataset import Dataset
+from goniometer.datasets.fill import Filled
+from goniometer.datasets.sector import is_hidden
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.sector import is_hidden
 
 
 def in_plane_map(opened: Opened, filled: Filled | None) -> InPlaneMap:

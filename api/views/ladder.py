@@ -5,12 +5,12 @@ import math
 from typing import Any
 
 from analysis.choices import BRDF_MODELS, MODELS
-from analysis.notation import roughly, with_uncertainty
-from analysis.page import MODEL_NAMES
+from analysis.figures.notation import roughly, with_uncertainty
+from analysis.figures.page import MODEL_NAMES
 from api.bodies.base import number
 from api.bodies.fits import Difference, FitRow, FittedModel, FittedParameter, Gain, Ladder
 from api.views.opened import Opened
-from goniometer.records import StoredText
+from goniometer.storage.records import StoredText
 
 
 def ladder(opened: Opened) -> Ladder:

@@ -5,8 +5,8 @@ from typing import Any
 
 from api.bodies.datasets import Lineage, LineageNode, NodeKind
 from api.views.opened import Opened
-from goniometer.archive_file import archive_of
-from goniometer.store import Store
+from goniometer.storage.archive_file import archive_of
+from goniometer.storage.store import Store
 
 
 def lineage(store: Store, opened: Opened) -> Lineage:

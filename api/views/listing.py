@@ -6,9 +6,9 @@ import numpy as np
 
 from api.bodies.datasets import DatasetDetail, DatasetRow, FlagUse
 from api.views.opened import Opened
-from goniometer.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.catalogue import Entry
-from goniometer.dataset import MEANING, Flag
+from goniometer.datasets.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.datasets.dataset import MEANING, Flag
+from goniometer.storage.catalogue import Entry
 
 FLAG_NAMES = {str(flag.name).lower().replace("_", "-"): flag for flag in Flag}
 """Every flag by the name that answers and questions use, e.g. "beyond-reference"."""

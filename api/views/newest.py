@@ -3,11 +3,11 @@
 import threading
 import time
 
-from analysis.noise import flag_words
+from analysis.fits.noise import flag_words
 from api.bodies.base import numbers
 from api.bodies.scans import NewestBrdf
-from goniometer.provisional import newest_brdf
-from goniometer.store import Store
+from goniometer.radiometry.provisional import newest_brdf
+from goniometer.storage.store import Store
 from goniometer.uncertainty import PARTS
 
 EVERY = 1.0

@@ -19,20 +19,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.colour import COLOUR_RANGE, colour_differences, has_colour, xyz_weights
-from analysis.filled_figure import STEP
-from analysis.fit_json import SCHEMA_VERSION, fit_from_json
-from analysis.fresnel import load_conductor
-from analysis.noise import hue_is_known
+from analysis.figures.filled import STEP
+from analysis.fits.fit_json import SCHEMA_VERSION, fit_from_json
+from analysis.fits.noise import hue_is_known
+from analysis.fits.stored_fit import StoredFit, as_measured
+from analysis.reflectance.fresnel import load_conductor
 from analysis.results import ColourDifferences
-from analysis.stored_fit import StoredFit, as_measured
-from goniometer.between import FEWEST
-from goniometer.catalogue import Entry
-from goniometer.dataset import Dataset
-from goniometer.derived import software_version
+from goniometer.datasets.between import FEWEST
+from goniometer.datasets.dataset import Dataset
+from goniometer.datasets.fill import Filled, fill, unmeasured
 from goniometer.errors import GoniometerError
-from goniometer.fill import Filled, fill, unmeasured
-from goniometer.records import StoredText
-from goniometer.store import Store
+from goniometer.storage.catalogue import Entry
+from goniometer.storage.derived import software_version
+from goniometer.storage.records import StoredText
+from goniometer.storage.store import Store
 
 log = logging.getLogger(__name__)
 

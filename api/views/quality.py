@@ -4,7 +4,7 @@ from api.bodies.base import number
 from api.bodies.datasets import Checks, UncertaintyBudget
 from api.results.quality import budget_content, dataset_budget, quality_of
 from api.views.opened import Opened
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 
 def checks(store: Store, opened: Opened) -> Checks:

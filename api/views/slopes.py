@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from analysis.directions import in_plane
-from analysis.fits import fitted_slope
-from analysis.models import LAMBDA_N
-from analysis.stored_fit import StoredFit
+from analysis.fits.by_name import fitted_slope
+from analysis.fits.stored_fit import StoredFit
+from analysis.reflectance.directions import in_plane
+from analysis.reflectance.models import LAMBDA_N
 from api.bodies.base import number, numbers
 from api.bodies.plots import LocalPoint, SlopeCurve, SlopeModel, Slopes
 from api.views.opened import Opened
-from goniometer.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.dataset import Dataset
+from goniometer.datasets.angular import SAME_INCIDENCE, incidence_groups
+from goniometer.datasets.dataset import Dataset
 
 _GRID = np.linspace(-90.0, 90.0, 181)
 

@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from analysis.fresnel import Conductor
-from analysis.models import local_model, normalised_fresnel
-from analysis.noise import flag_words
-from analysis.stored_fit import as_measured
+from analysis.fits.noise import flag_words
+from analysis.fits.stored_fit import as_measured
+from analysis.reflectance.fresnel import Conductor
+from analysis.reflectance.models import local_model, normalised_fresnel
 from api.bodies.base import number, numbers
 from api.bodies.plots import LocalCurve, PointSpectrum
 from api.views.listing import flag_names
 from api.views.opened import Opened
 from api.views.slopes import local_points
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import NotInStore
-from goniometer.look_up import exposures_of
-from goniometer.store import Store
+from goniometer.storage.look_up import exposures_of
+from goniometer.storage.store import Store
 
 
 def point_spectrum(store: Store, opened: Opened, point: int) -> PointSpectrum:

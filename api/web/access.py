@@ -13,8 +13,8 @@ from api.access.callers import Shown
 from api.access.tokens import Caller
 from api.choices import Role
 from api.errors import NotAllowed, Unauthorised
-from goniometer.database import Database
 from goniometer.errors import ConfigurationError
+from goniometer.storage.database import Database
 
 __all__ = ["LOCAL", "Access", "Caller", "check_listen", "cookie_name", "is_loopback", "needs", "shown_by"]
 

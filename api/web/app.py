@@ -37,7 +37,7 @@ from api.web.answers import Answers
 from api.web.gate import Gate
 from api.web.live import Live
 from api.web.problems import describe_problems, install
-from goniometer.derived import software_version
+from goniometer.storage.derived import software_version
 
 NICE = 5
 """How far threads that answer requests step back, on Linux; of a core that the bench wants, too, it gets 3/4."""

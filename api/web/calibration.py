@@ -25,8 +25,8 @@ from api.web.context import Here, Number
 from api.web.jobs import submit
 from api.web.live import Live
 from api.web.paging import After, after_number, etag, page
-from goniometer import look_up
-from goniometer.records import Scan
+from goniometer.storage import look_up
+from goniometer.storage.records import Scan
 
 router = APIRouter(prefix="/api", tags=["calibration"])
 

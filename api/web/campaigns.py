@@ -16,16 +16,16 @@ from api.web.context import Here, Number
 from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from api.web.scans import scan_views
-from goniometer import look_up
-from goniometer.campaign import Campaign
-from goniometer.campaign_file import read_campaign
-from goniometer.duration import DEAD_TIME
+from goniometer.campaigns.campaign import Campaign
+from goniometer.campaigns.campaign_file import read_campaign
 from goniometer.errors import CampaignError
 from goniometer.geometry import Geometry
-from goniometer.look_up import CampaignRow
-from goniometer.plan import first_points, plan_spec, reference_points, uniform_grid_size
-from goniometer.plan_spec import ORDINARY
-from goniometer.records import Expected
+from goniometer.plans.plan import first_points, plan_spec, reference_points, uniform_grid_size
+from goniometer.plans.plan_spec import ORDINARY
+from goniometer.scans.duration import DEAD_TIME
+from goniometer.storage import look_up
+from goniometer.storage.look_up import CampaignRow
+from goniometer.storage.records import Expected
 
 router = APIRouter(prefix="/api/campaigns", tags=["campaigns"])
 

@@ -14,9 +14,9 @@ from api.web.context import Here, Number
 from api.web.instrument import BINARY
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from api.web.shown import shown
-from goniometer.catalogue import Order, Wanted
-from goniometer.dataset import Kind
+from goniometer.datasets.dataset import Kind
 from goniometer.errors import InputError
+from goniometer.storage.catalogue import Order, Wanted
 
 router = APIRouter(prefix="/api/datasets", tags=["datasets"])
 

@@ -13,7 +13,7 @@ from api.errors import Conflict
 from api.executor import BEHIND, end_with_parent
 from api.jobs.running import CONTEXT
 from api.views.opened import filled_content
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 NAME = "goniometer fill"
 """Of the process."""

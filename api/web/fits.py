@@ -16,8 +16,8 @@ from api.views.ladder import fit_row
 from api.web.access import Caller, needs
 from api.web.context import Here, Number
 from api.web.jobs import submit
-from goniometer.derived import ExportRow
 from goniometer.errors import NotInStore
+from goniometer.storage.derived import ExportRow
 
 router = APIRouter(prefix="/api", tags=["fits and exports"])
 

@@ -27,8 +27,8 @@ from api.errors import Misdirected, NotAllowed, ServiceError, TooLarge, Unauthor
 from api.web import patience
 from api.web.access import Access, cookie_name, shown_by
 from api.web.problems import told
-from goniometer.database import Database
 from goniometer.errors import StoreError
+from goniometer.storage.database import Database
 
 SAFE = {"GET", "HEAD", "OPTIONS"}
 LOGIN = "/api/login"

@@ -16,8 +16,8 @@ from api.settings import InstrumentSettings
 from api.views.newest import Newest
 from api.views.opened import Datasets
 from api.web.filling import fill_apart
-from goniometer.store import Store
-from goniometer.tables import BENCH
+from goniometer.storage.store import Store
+from goniometer.storage.tables import BENCH
 
 
 @dataclass(frozen=True)

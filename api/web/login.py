@@ -23,7 +23,7 @@ from api.bodies.access import Login, Me, NewPassword, SessionView
 from api.errors import NotAllowed, TooManyFailures, Unauthorised
 from api.web.access import Access, cookie_name, needs
 from api.web.context import Here
-from goniometer.database import Database
+from goniometer.storage.database import Database
 
 router = APIRouter(prefix="/api", tags=["access"])
 

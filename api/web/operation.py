@@ -7,8 +7,8 @@ from fastapi import APIRouter
 from api.bodies.service import About, Health
 from api.web.access import Caller, needs
 from api.web.context import Here
-from goniometer import look_up
-from goniometer.derived import software_version
+from goniometer.storage import look_up
+from goniometer.storage.derived import software_version
 
 router = APIRouter(tags=["operation"])
 

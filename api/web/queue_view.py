@@ -8,13 +8,13 @@ from api.bodies.campaigns import EntryPhase, EntryScan, EntryView
 from api.display import duration
 from api.preview import preview
 from api.web.live import Live
-from goniometer import look_up
-from goniometer.campaign import Campaign
-from goniometer.duration import DEAD_TIME
-from goniometer.plan_spec import ORDINARY
-from goniometer.records import Expected, Scan
-from goniometer.route import Motion
+from goniometer.bench.route import Motion
+from goniometer.campaigns.campaign import Campaign
+from goniometer.plans.plan_spec import ORDINARY
+from goniometer.scans.duration import DEAD_TIME
 from goniometer.states import ACTIVE_PHASES
+from goniometer.storage import look_up
+from goniometer.storage.records import Expected, Scan
 
 
 def entry_view(live: Live, entry: queue.Entry, state: BenchState) -> EntryView:

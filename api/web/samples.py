@@ -12,8 +12,8 @@ from api.views.listing import row
 from api.web.access import Caller, needs
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, Limit, page
-from goniometer.catalogue import Entry, Wanted
 from goniometer.errors import NotInStore
+from goniometer.storage.catalogue import Entry, Wanted
 
 router = APIRouter(prefix="/api/samples", tags=["datasets"])
 

@@ -12,9 +12,9 @@ from api.web.context import Here, Number
 from api.web.instrument import BINARY
 from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, etag, page, unchanged
-from goniometer import look_up
-from goniometer.look_up import NONE, Counts
-from goniometer.records import Exposure, Point, Scan
+from goniometer.storage import look_up
+from goniometer.storage.look_up import NONE, Counts
+from goniometer.storage.records import Exposure, Point, Scan
 
 router = APIRouter(prefix="/api", tags=["scans"])
 

@@ -20,8 +20,8 @@ from api.web.app import make_app
 from api.web.live import Live, open_live
 from api.web.patience import Patient
 from goniometer.errors import ConfigurationError
-from goniometer.store import Store
-from goniometer.tables import BENCH
+from goniometer.storage.store import Store
+from goniometer.storage.tables import BENCH
 
 ENDING = 3
 """Seconds that requests may take to end once the service is told to."""

@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from analysis.directions import Directions, round_aperture, through_aperture
-from analysis.fresnel import load_conductor
-from analysis.models import cook_torrance
+from analysis.reflectance.directions import Directions, round_aperture, through_aperture
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cook_torrance
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, Groups, everywhere
 
 Brdf = Callable[[Directions, FloatArray], FloatArray]

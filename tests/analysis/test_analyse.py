@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.noise import at_wavelength
+from analysis.fits.analyse import analyse
+from analysis.fits.noise import at_wavelength
 from analysis.results import SampleAnalysis
-from goniometer.dataset import Dataset, Flag
+from goniometer.datasets.dataset import Dataset, Flag
 
 
 @pytest.fixture(scope="module")

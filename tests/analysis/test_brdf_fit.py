@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import brdf_fit
 from analysis.choices import Distribution, Engine
-from analysis.distributions import lobe_width, ndf
 from analysis.errors import FitError, OutOfRange
-from goniometer.dataset import Dataset, Flag
+from analysis.fits.brdf_fit import brdf_fit
+from analysis.reflectance.distributions import lobe_width, ndf
+from goniometer.datasets.dataset import Dataset, Flag
 
 Measure = Callable[..., Dataset]
 SAMPLES = {

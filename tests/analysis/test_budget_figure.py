@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from analysis.budget_figure import (
+from analysis.figures.budget import (
     LOOKS,
     budget_page,
     budget_panels,
@@ -16,11 +16,11 @@ from analysis.budget_figure import (
     share_in_words,
     side_by_side,
 )
-from analysis.notation import uncertainty
-from analysis.svg import INK
+from analysis.figures.notation import uncertainty
+from analysis.figures.svg import INK
 from drivers.arrays import FloatArray
-from goniometer.budget import budget
-from goniometer.dataset import Dataset
+from goniometer.datasets.budget import budget
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import GeometryError
 from goniometer.uncertainty import PARTS, ErrorSource, everywhere
 from tests.drawn_dataset import drawn_dataset

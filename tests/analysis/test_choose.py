@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.asked import asked
-from analysis.brdf_table import BrdfTable, Reference, folded, reference_table, table_nodes
-from analysis.choose import FEWER, NODES, choose, nodes, without_draws
-from analysis.directions import Directions, from_vectors, in_plane
-from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import load_conductor
-from analysis.ladder import METAL_FITS, Lambert
-from analysis.models import cook_torrance
+from analysis.fits.by_name import fit_models, local_fit_for
+from analysis.reflectance.directions import Directions, from_vectors, in_plane
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cook_torrance
 from analysis.results import ModelFit
-from analysis.scene import Scene
-from analysis.scene_rays import trace
-from analysis.vertices import Vertices, display_for, image, to_pixels, xyz_of_vertices
+from analysis.scenes.asked import asked
+from analysis.scenes.brdf_table import BrdfTable, Reference, folded, reference_table, table_nodes
+from analysis.scenes.choose import FEWER, NODES, choose, nodes, without_draws
+from analysis.scenes.ladder import METAL_FITS, Lambert
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene
+from analysis.scenes.vertices import Vertices, display_for, image, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 SAMPLE = (0.209, 1.35, 3.0)
 CAMERA = {"position": (0.0, -4.0, 1.0), "pixels": (16, 16), "field_of_view": 32.0}

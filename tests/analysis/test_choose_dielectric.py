@@ -5,22 +5,22 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.brdf_table import Reference, reference_table
-from analysis.choose import NODES, choose
-from analysis.directions import Directions
-from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import load_conductor
-from analysis.ladder import DIELECTRIC_FITS, guides, roughness
-from analysis.models import dielectric
+from analysis.fits.by_name import fit_models, local_fit_for
+from analysis.mitsuba.verify import cheaper
+from analysis.reflectance.directions import Directions
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import dielectric
 from analysis.results import ModelFit
-from analysis.scene import Scene
-from analysis.scene_rays import trace
-from analysis.verify import cheaper
-from analysis.vertices import Reflectance, display_for, image
+from analysis.scenes.brdf_table import Reference, reference_table
+from analysis.scenes.choose import NODES, choose
+from analysis.scenes.ladder import DIELECTRIC_FITS, guides, roughness
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene
+from analysis.scenes.vertices import Reflectance, display_for, image
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
-from simulators.surfaces import SANDED, mean_brdf
-from simulators.tradeoff_bench import drawn
+from goniometer.datasets.dataset import Dataset
+from simulators.costs.bench import drawn
+from simulators.materials.surfaces import SANDED, mean_brdf
 
 CAMERA = {"position": (0.0, -4.0, 1.0), "pixels": (16, 16), "field_of_view": 32.0}
 BALL = [{"sphere": 1.0}]

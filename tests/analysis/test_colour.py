@@ -13,7 +13,7 @@ from analysis.colour import (
     xyz_weights,
 )
 from analysis.errors import OutOfRange
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 
 WAVELENGTHS = np.arange(382.0, 998.0, 4.6)
 IRREGULAR = np.sort(np.concatenate([WAVELENGTHS + 0.4 * np.sin(WAVELENGTHS), [555.5, 600.1]]))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from analysis.brdf_fit import brdf_fit
-from analysis.microfacet import best_albedo
-from analysis.models import dielectric
+from analysis.fits.brdf_fit import brdf_fit
+from analysis.reflectance.microfacet import best_albedo
+from analysis.reflectance.models import dielectric
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 Measure = Callable[..., Dataset]
 TRUTH = {"alpha": 0.25, "eta": 1.5, "h": 1.2, "w": 2.5}

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from analysis.brdf_fit import brdf_fit
-from analysis.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
 from analysis.choices import Distribution
-from analysis.directions import Directions, in_plane, round_aperture
-from analysis.fresnel import load_conductor
-from analysis.global_fit import global_fit
-from analysis.least_squares import SumOfSquares, minimise
-from analysis.local_fit import local_fit
-from analysis.loew import loew_data
-from analysis.microfacet import Form, Shift, view
-from analysis.models import cook_torrance, dielectric
+from analysis.fits.brdf_fit import brdf_fit
+from analysis.fits.brdf_problem import from_search, linearise, problem, to_search, weighted_residual
+from analysis.fits.global_fit import global_fit
+from analysis.fits.least_squares import SumOfSquares, minimise
+from analysis.fits.local_fit import local_fit
+from analysis.fits.loew import loew_data
+from analysis.reflectance.directions import Directions, in_plane, round_aperture
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.microfacet import Form, Shift, view
+from analysis.reflectance.models import cook_torrance, dielectric
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 Measure = Callable[..., Dataset]
 FEW = {"incident": (10, 40, 70), "wavelength_step": 23.0}

@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.brdf_table import BrdfTable
-from analysis.bsdf_energy import clamp
-from analysis.bsdf_search import Budget
-from analysis.directions import from_vectors, in_plane
+from analysis.bsdf.energy import clamp
+from analysis.bsdf.export import BsdfReport, report_content, report_lines, write_bsdf, write_fit
+from analysis.bsdf.measured_bsdf import evaluate, read_bsdf, sampling_density
+from analysis.bsdf.search import Budget
 from analysis.errors import ExportError, OutOfRange
-from analysis.export_mitsuba import BsdfReport, report_content, report_lines, write_bsdf, write_fit
-from analysis.fresnel import Conductor, load_conductor
-from analysis.ladder import Lambert, Microfacet, Model, Tinted
-from analysis.measured_bsdf import evaluate, read_bsdf, sampling_density
-from analysis.microfacet import Form
+from analysis.fits.analyse import analyse
+from analysis.reflectance.directions import from_vectors, in_plane
+from analysis.reflectance.fresnel import Conductor, load_conductor
+from analysis.reflectance.microfacet import Form
 from analysis.results import Albedo
+from analysis.scenes.brdf_table import BrdfTable
+from analysis.scenes.ladder import Lambert, Microfacet, Model, Tinted
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 RENDERER = """
 import json, sys
@@ -262,7 +262,7 @@ def test_the_file_and_the_command_say_how_far_it_is_from_the_model(tmp_path: Pat
 
 
 def test_a_budget_that_no_file_keeps_is_said_not_to_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.export_mitsuba.LARGEST_SIZE", 100_000)
+    monkeypatch.setattr("analysis.bsdf.export.LARGEST_SIZE", 100_000)
     report = write_bsdf(tmp_path / "x.bsdf", metal(0.2), Budget(0.01))
     assert report.size < 110_000
     assert not report.within_budget

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.brdf_fit import form_of
 from analysis.choices import MODELS, Distribution
-from analysis.directions import in_plane
 from analysis.errors import ExportError, OutOfRange
-from analysis.fit_json import analysis_from_json, analysis_to_json, fit_from_json, fit_to_json
-from analysis.fresnel import load_conductor
-from analysis.global_fit import SLOPE_MODELS, slope_and_derivative
-from analysis.microfacet import brdf
-from analysis.models import cook_torrance, normalised_fresnel, shift
+from analysis.fits.analyse import analyse
+from analysis.fits.brdf_fit import form_of
+from analysis.fits.fit_json import analysis_from_json, analysis_to_json, fit_from_json, fit_to_json
+from analysis.fits.global_fit import SLOPE_MODELS, slope_and_derivative
+from analysis.fits.stored_fit import evaluate
+from analysis.reflectance.directions import in_plane
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.microfacet import brdf
+from analysis.reflectance.models import cook_torrance, normalised_fresnel, shift
 from analysis.results import Parameter, SampleAnalysis, Verdict
-from analysis.stored_fit import evaluate
-from goniometer.dataset import Check, Dataset, Flag
+from goniometer.datasets.dataset import Check, Dataset, Flag
 from goniometer.errors import InputError
 from tests.drawn_dataset import drawn_dataset
 

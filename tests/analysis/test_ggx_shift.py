@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-import analysis.vase_scene
+import analysis.mitsuba.vase_scene
 from analysis.colour import xyz_to_rgb, xyz_weights
-from analysis.directions import Directions, from_vectors
-from analysis.fresnel import Conductor
-from analysis.models import cook_torrance, cosine_slope, dielectric, shift, theta_m
+from analysis.reflectance.directions import Directions, from_vectors
+from analysis.reflectance.fresnel import Conductor
+from analysis.reflectance.models import cook_torrance, cosine_slope, dielectric, shift, theta_m
 from drivers.arrays import FloatArray
 
 # looked for and not loaded: only the processes that render need it
@@ -33,7 +33,7 @@ WORKER = """
 import json, sys
 import numpy as np
 import mitsuba as mi
-import analysis.ggx_shift
+import analysis.mitsuba.ggx_shift
 job = json.load(open(sys.argv[1]))
 mi.set_variant(job["variant"])
 mi.set_log_level(mi.LogLevel.Error)
@@ -252,7 +252,7 @@ def test_parameters_that_make_no_sense_are_refused_with_a_reason() -> None:
     code = """
 import sys, json
 import mitsuba as mi
-import analysis.ggx_shift
+import analysis.mitsuba.ggx_shift
 for variant, parameters, _ in json.loads(sys.argv[1]):
     mi.set_variant(variant)
     try:
@@ -268,10 +268,10 @@ for variant, parameters, _ in json.loads(sys.argv[1]):
 
 
 def test_the_file_of_the_plugin_renders_a_scene_where_nothing_else_of_ours_is(tmp_path: Path) -> None:
-    plugin = Path(analysis.vase_scene.__file__).with_name("ggx_shift.py")
+    plugin = Path(analysis.mitsuba.vase_scene.__file__).with_name("ggx_shift.py")
     shutil.copy(plugin, tmp_path)
     material = '<bsdf type="ggx_shift" id="sample"><float name="int_ior" value="1.5"/></bsdf>'
-    scene = analysis.vase_scene.vase_scene(material, pixels=8, samples=2)
+    scene = analysis.mitsuba.vase_scene.vase_scene(material, pixels=8, samples=2)
     (tmp_path / "scene.xml").write_text(scene.xml)
     for name, content in scene.files.items():
         (tmp_path / name).write_bytes(content)
@@ -285,7 +285,7 @@ def test_where_a_vectorised_variant_works_mitsuba_accepts_the_samples_and_differ
     code = """
 import drjit as dr
 import mitsuba as mi
-import analysis.ggx_shift
+import analysis.mitsuba.ggx_shift
 mi.set_variant("llvm_ad_rgb")
 from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
 uniform = lambda value: {"type": "uniform", "value": value}

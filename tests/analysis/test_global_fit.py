@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from analysis.errors import FitError
-from analysis.fresnel import load_conductor
-from analysis.global_fit import global_fit
-from analysis.local_fit import local_fit, shifted_fresnel
-from analysis.models import cosine_slope
-from goniometer.dataset import Dataset
+from analysis.fits.global_fit import global_fit
+from analysis.fits.local_fit import local_fit, shifted_fresnel
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cosine_slope
+from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, everywhere
 
 THETA_IN, THETA_OUT = (g.ravel() for g in np.meshgrid(np.arange(0.0, 81, 10), np.arange(-80.0, 81, 5), indexing="ij"))

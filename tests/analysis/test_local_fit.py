@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from analysis.errors import FitError, OutOfRange
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.local_fit import local_fit, local_gain
-from goniometer.dataset import Dataset, Flag
+from analysis.fits.local_fit import local_fit, local_gain
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.uncertainty import ErrorSource
 
 

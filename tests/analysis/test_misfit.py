@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import brdf_fit
-from analysis.fits import fit_models
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.global_fit import global_fit
-from analysis.local_fit import local_fit
-from analysis.misfit import excess, moved_by
-from analysis.models import normalised_fresnel
-from goniometer.dataset import Dataset
+from analysis.fits.brdf_fit import brdf_fit
+from analysis.fits.by_name import fit_models
+from analysis.fits.global_fit import global_fit
+from analysis.fits.local_fit import local_fit
+from analysis.fits.misfit import excess, moved_by
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.models import normalised_fresnel
+from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
 
 Measure = Callable[..., Dataset]
@@ -121,7 +121,7 @@ def test_a_wrong_metal_does_not_give_a_confident_shift(measure: Measure) -> None
     silver = load_conductor("main", "Ag", "Johnson")
 
     def seen(nodes, nm):  # type: ignore[no-untyped-def]
-        from analysis.models import microfacet  # noqa: PLC0415
+        from analysis.reflectance.models import microfacet  # noqa: PLC0415
 
         fresnel = fresnel_conductor(nodes.cos_d[..., None], *silver.index(nm))
         return microfacet(nodes, nm, 0.2, fresnel, 1.2 * np.cos(3.0 * np.arccos(np.clip(nodes.cos_m, -1, 1))))

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from analysis.choices import Distribution
-from analysis.directions import Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import lobe, lobe_derivative
-from analysis.fresnel import fresnel_dielectric, fresnel_dielectric_derivative, load_conductor
-from analysis.models import (
+from analysis.reflectance.directions import Directions, in_plane, round_aperture, through_aperture
+from analysis.reflectance.distributions import lobe, lobe_derivative
+from analysis.reflectance.fresnel import fresnel_dielectric, fresnel_dielectric_derivative, load_conductor
+from analysis.reflectance.models import (
     constant,
     cook_torrance,
     cook_torrance_derivative,
@@ -33,7 +33,7 @@ from analysis.models import (
     shift_derivative,
     theta_m,
 )
-from analysis.two_component import mixed_slope, two_component_slope, two_component_slope_derivative
+from analysis.reflectance.two_component import mixed_slope, two_component_slope, two_component_slope_derivative
 from drivers.arrays import FloatArray
 
 STEP = 1e-30

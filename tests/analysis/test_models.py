@@ -7,10 +7,10 @@ import pytest
 from scipy.special import erf
 
 from analysis.choices import Distribution
-from analysis.directions import Directions, in_plane, round_aperture, through_aperture
-from analysis.distributions import g1, lobe, ndf
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.models import (
+from analysis.reflectance.directions import Directions, in_plane, round_aperture, through_aperture
+from analysis.reflectance.distributions import g1, lobe, ndf
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.models import (
     cook_torrance,
     cosine_slope,
     dielectric,
@@ -23,7 +23,7 @@ from analysis.models import (
     shift_is_clamped,
     theta_m,
 )
-from analysis.two_component import two_component_slope
+from analysis.reflectance.two_component import two_component_slope
 
 DISTRIBUTIONS = get_args(Distribution)
 WAVELENGTHS = np.array([400.0, 550, 600, 900])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from analysis.choices import Distribution
-from analysis.directions import Directions
-from analysis.fresnel import Conductor, fresnel_conductor, fresnel_dielectric
-from analysis.models import cook_torrance
+from analysis.reflectance.directions import Directions
+from analysis.reflectance.fresnel import Conductor, fresnel_conductor, fresnel_dielectric
+from analysis.reflectance.models import cook_torrance
 from drivers.arrays import FloatArray
 
 # looked for and not loaded: only the processes that render need it

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.noise import above_noise, at_wavelength, flag_sentences, flag_words, hue_is_known
-from goniometer.dataset import Dataset, Flag
+from analysis.fits.noise import above_noise, at_wavelength, flag_sentences, flag_words, hue_is_known
+from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.uncertainty import ErrorSource
 
 

@@ -6,7 +6,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from analysis.colour import rgb_to_xyz, xyz_to_rgb
-from analysis.photo_page import photo_page, photo_remarks
 from analysis.photo_statistics import (
     BACKWARD_TILT,
     FORWARD_TILT,
@@ -15,8 +14,9 @@ from analysis.photo_statistics import (
     shown_photo,
     without_slow_variation,
 )
+from analysis.reports.photographs import photo_page, photo_remarks
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.photos import Photo, PhotoSeries
+from goniometer.photographs.photos import Photo, PhotoSeries
 
 
 def speckle(rng: np.random.Generator, size: int, width: float) -> FloatArray:

@@ -4,8 +4,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from analysis.plan_figure import arm_view, polar_view
-from goniometer.plan import PlanSpec, next_points
+from analysis.figures.plan import arm_view, polar_view
+from goniometer.plans.plan import PlanSpec, next_points
 
 SPEC = PlanSpec((0.0, 30.0, 60.0))
 SVG = "{http://www.w3.org/2000/svg}"

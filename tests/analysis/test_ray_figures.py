@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from analysis.ray_figures import ORDER_COLOURS, halves_panel, share_panel
+from analysis.figures.rays import ORDER_COLOURS, halves_panel, share_panel
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -7,16 +7,16 @@ import colour
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import form_of
+from analysis.bsdf.export import write_bsdf
 from analysis.colour import rgb_to_xyz
 from analysis.errors import ExportError, RenderError
-from analysis.export_mitsuba import write_bsdf
-from analysis.export_plugin import plugin_material, plugin_scene
-from analysis.fresnel import load_conductor
-from analysis.ladder import Microfacet
-from analysis.mitsuba_run import bsdf_element
-from analysis.render import VARIANTS, Pictures, Variant, compare, render_scenes, working_variant
-from analysis.vase_scene import vase, vase_scene
+from analysis.fits.brdf_fit import form_of
+from analysis.mitsuba.export_plugin import plugin_material, plugin_scene
+from analysis.mitsuba.render import VARIANTS, Pictures, Variant, compare, render_scenes, working_variant
+from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_scene import vase, vase_scene
+from analysis.reflectance.fresnel import load_conductor
+from analysis.scenes.ladder import Microfacet
 from drivers.arrays import FloatArray
 
 SCALAR = Variant("scalar_spectral")

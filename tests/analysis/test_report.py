@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.bsdf_error import RelativeError
-from analysis.bsdf_search import Budget
+from analysis.bsdf.error import RelativeError
+from analysis.bsdf.export import BsdfReport, Tried
+from analysis.bsdf.search import Budget
 from analysis.errors import ExportError
-from analysis.export_mitsuba import BsdfReport, Tried
-from analysis.notation import uncertainty, with_uncertainty
-from analysis.report import RunFacts, report_html, write_report
+from analysis.figures.notation import uncertainty, with_uncertainty
+from analysis.fits.analyse import analyse
+from analysis.reports.report import RunFacts, report_html, write_report
 from analysis.results import Parameter, SampleAnalysis, Verdict
-from goniometer.dataset import Check, Dataset, Flag
+from goniometer.datasets.dataset import Check, Dataset, Flag
 
 ERROR = RelativeError(0.0081, 0.0153, 0.0242)
 FACTS = RunFacts(

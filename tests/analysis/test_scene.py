@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.directions import Directions
 from analysis.errors import SceneError
-from analysis.scene import Scene, load_scene
-from analysis.scene_rays import trace
-from analysis.vertices import Vertices, display_for, image, observer_white
+from analysis.reflectance.directions import Directions
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene, load_scene
+from analysis.scenes.vertices import Vertices, display_for, image, observer_white
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 

@@ -3,7 +3,7 @@
 import math
 from xml.etree import ElementTree
 
-from analysis.stability_figure import MapCell, stability_map
+from analysis.figures.stability import MapCell, stability_map
 
 ROWS = [("outliers", "one"), ("outliers", "many"), ("mixture", "of normals")]
 

@@ -10,7 +10,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.image import imread
 
-from analysis.surface_figures import (
+from analysis.figures.surfaces import (
     autocorrelation_figure,
     height_histogram,
     perspective,

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from analysis.tensor_file import decode, encode
+from analysis.bsdf.tensor_file import decode, encode
 from goniometer.errors import InputError
 
 

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
+from analysis.figures.tradeoff import tradeoff_chapter, tradeoff_chart
 from analysis.tradeoff import Axis, Candidate, Chart, Choice, charts_json, pareto_front, race
-from analysis.tradeoff_figure import tradeoff_chapter, tradeoff_chart
 
 
 @pytest.mark.parametrize("seed", range(5))

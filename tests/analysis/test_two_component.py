@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from analysis.directions import in_plane
 from analysis.errors import OutOfRange
-from analysis.models import cosine_slope, shift, theta_m
-from analysis.two_component import (
+from analysis.reflectance.directions import in_plane
+from analysis.reflectance.models import cosine_slope, shift, theta_m
+from analysis.reflectance.two_component import (
     mixed_slope,
     two_component_slope,
     two_component_slope_derivative,

@@ -7,20 +7,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.brdf_fit import brdf_fit
 from analysis.choices import Distribution
-from analysis.directions import Directions, in_plane
 from analysis.errors import FitError
-from analysis.fits import fit_models, fitted_slope
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.local_fit import local_fit
-from analysis.loew import loew_data
-from analysis.models import dielectric, microfacet
+from analysis.fits.analyse import analyse
+from analysis.fits.brdf_fit import brdf_fit
+from analysis.fits.by_name import fit_models, fitted_slope
+from analysis.fits.local_fit import local_fit
+from analysis.fits.loew import loew_data
+from analysis.reflectance.directions import Directions, in_plane
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.models import dielectric, microfacet
+from analysis.reflectance.two_component import two_component_slope
 from analysis.results import SampleAnalysis
-from analysis.two_component import two_component_slope
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 
 Measure = Callable[..., Dataset]
 TRUTH = {"h": 1.2, "w": 2.5, "t_y": 0.1, "kappa": 0.8, "sharpness": 2.0, "threshold": 0.2}

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.bsdf_fields import bsdf_content
-from analysis.choose import NODES
-from analysis.directions import Directions, from_vectors
+from analysis.bsdf.fields import bsdf_content
+from analysis.bsdf.measured_bsdf import evaluate, read_bsdf
 from analysis.errors import RenderError
-from analysis.fresnel import load_conductor
-from analysis.ladder import Lambert, Tinted
-from analysis.measured_bsdf import evaluate, read_bsdf
-from analysis.mitsuba_run import Material, render, trace_mitsuba
-from analysis.mitsuba_scene import read_mitsuba, write_mitsuba
-from analysis.models import cook_torrance
-from analysis.scene import Scene
-from analysis.scene_rays import trace
-from analysis.vertices import display_for, image
+from analysis.mitsuba.run import Material, render, trace_mitsuba
+from analysis.mitsuba.scene import read_mitsuba, write_mitsuba
+from analysis.reflectance.directions import Directions, from_vectors
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cook_torrance
+from analysis.scenes.choose import NODES
+from analysis.scenes.ladder import Lambert, Tinted
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene
+from analysis.scenes.vertices import display_for, image
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 

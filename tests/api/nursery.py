@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 from api.commands.main import main
 
 HEAVY = (
-    "analysis.photo_page",
+    "analysis.reports.photographs",
     "api.bench.characterise",
     "api.results.choose",
     "api.commands.demo",
@@ -42,7 +42,7 @@ HEAVY = (
     "scipy.interpolate",
     "scipy.ndimage",
     "scipy.stats",
-    "simulators.photo_session",
+    "simulators.photographs.session",
 )
 """What the commands load where they use it."""
 

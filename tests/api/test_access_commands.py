@@ -10,7 +10,7 @@ from argon2 import PasswordHasher
 
 from api.access.audit import entries
 from api.access.tokens import token_caller
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 PASSWORD = "correct horse battery staple"
 CURVES = "theta_in,theta_out,wavelength,brdf\n" + "".join(

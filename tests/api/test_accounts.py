@@ -31,7 +31,7 @@ from api.access.tokens import (
     token_caller,
 )
 from goniometer.errors import InputError, NotInStore
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 PASSWORD = "correct horse battery staple"
 

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from analysis.fit_json import strict_json
+from analysis.fits.fit_json import strict_json
 from analysis.tradeoff import charts_json
 from api.choices import Kind
 from api.results.choose import choice_content, choice_pictures, choose_model
 from api.results.stability import stability_content
 from api.results.tradeoff import charts
 from api.views.analyses import choice, ensemble, stability_map, tradeoff
-from goniometer.campaign import Campaign
+from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import NotInStore
-from goniometer.store import Store
-from simulators.ensemble import cells, jobs
-from simulators.ensemble import ensemble as runs_of
+from goniometer.storage.store import Store
+from simulators.stability.ensemble import cells, jobs
+from simulators.stability.ensemble import ensemble as runs_of
 from tests.drawn_dataset import drawn_dataset
 
 

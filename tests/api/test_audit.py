@@ -13,7 +13,7 @@ from sqlalchemy.exc import IntegrityError
 
 from api.access.audit import FIRST, entries, head, record, verify
 from goniometer.errors import StoreError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.databases import fresh_database, outside
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from api.service import Watch, run
-from goniometer.campaign import Campaign, OutgoingRange, Reference, Sample
+from goniometer.campaigns.campaign import Campaign, OutgoingRange, Reference, Sample
 from goniometer.errors import CertificateError, GoniometerError
-from goniometer.records import Scan
-from goniometer.store import Store
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
 
 HEADERS = "# serial_number: PANEL\n# calibrated: 2001-01-01\n# valid_until: {valid_until}\n"
 

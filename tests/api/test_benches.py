@@ -9,7 +9,7 @@ from sqlalchemy import text
 from sqlalchemy.engine import make_url
 
 from goniometer.errors import StoreError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.api.conftest import Cli
 from tests.databases import fresh_database, outside
 from tests.drawn_dataset import drawn_dataset

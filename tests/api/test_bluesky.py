@@ -20,7 +20,7 @@ from api.bluesky_devices import BlueskyBench, Done, bluesky_bench
 from api.exports.bluesky import bluesky_documents, bluesky_lines
 from drivers.errors import DriverError
 from goniometer.errors import GeometryError, InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 
 Documents = list[tuple[str, dict[str, Any]]]

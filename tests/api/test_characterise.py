@@ -15,13 +15,13 @@ from api.bench.characterise import instrument_lines, proposals
 from api.commands.characterise import REQUESTS, ask_for, register
 from api.service import make_bench, simulated_settings
 from api.settings import InstrumentSettings, load_instrument
-from goniometer.alignment import Alignment
-from goniometer.characterise import Piece, measure_alignment
+from goniometer.bench.instrument import Instrument
+from goniometer.characterisation.alignment import Alignment
+from goniometer.characterisation.characterise import Piece, measure_alignment
 from goniometer.errors import RunAborted
-from goniometer.instrument import Instrument
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
-from simulators.laboratory import simulated_laboratory
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
+from simulators.bench.laboratory import simulated_laboratory
 from tests.api.test_settings import BENCH
 
 KINDS = {

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from analysis.measured_bsdf import read_bsdf
+from analysis.bsdf.measured_bsdf import read_bsdf
 
 SUN = """
 camera: {position: [0, -4, 1], pixels: [16, 16], field_of_view: 32}

@@ -15,7 +15,7 @@ import pytest
 from distributed import LocalCluster
 from numpy.typing import NDArray
 
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from api import cluster as api_cluster
 from api.access.accounts import add_user
 from api.access.tokens import create_token
@@ -25,15 +25,15 @@ from api.executor import processes
 from api.results.products import fit_dataset, fit_datasets
 from api.web.live import open_live
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from simulators.choices import Kernel
-from simulators.diffraction import seen_through
-from simulators.ensemble import ensemble, jobs
-from simulators.ray_scan import Goniometer, ray_scan
-from simulators.rays import terrain
-from simulators.topography import topography
-from simulators.wave_scan import Setup, choose_patches
-from simulators.wave_simulation import simulate
+from simulators.rays.rays import terrain
+from simulators.rays.scan import Goniometer, ray_scan
+from simulators.stability.ensemble import ensemble, jobs
+from simulators.topographies.topography import topography
+from simulators.waves.diffraction import seen_through
+from simulators.waves.scan import Setup, choose_patches
+from simulators.waves.simulation import simulate
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
 from tests.served import wait_for

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.fit_json import fit_from_json
+from analysis.fits.fit_json import fit_from_json
 from api.preflight import preflight
-from goniometer.campaign_file import load_campaign
-from goniometer.store import Store
+from goniometer.campaigns.campaign_file import load_campaign
+from goniometer.storage.store import Store
 
 Small = tuple[Path, dict[str, Any]]
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.fit_json import fit_to_json
+from analysis.fits.analyse import analyse
+from analysis.fits.fit_json import fit_to_json
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.web.live import Live, open_live
-from goniometer.certificate import Certificate
-from goniometer.certificate_file import certificate_csv
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.certificates.certificate import Certificate
+from goniometer.certificates.certificate_file import certificate_csv
+from simulators.materials.materials import PANEL_CERTIFICATE
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
 

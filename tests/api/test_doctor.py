@@ -18,13 +18,13 @@ from api.settings import InstrumentSettings
 from drivers.errors import DeviceNotFound
 from drivers.interfaces import StagePhase
 from drivers.qepro import QEProLight
-from goniometer.doctor import Bench, Finding, examine, release, visit
+from goniometer.bench.doctor import Bench, Finding, examine, release, visit
+from goniometer.bench.safety import Forbidden
 from goniometer.errors import BenchUnfit
-from goniometer.records import Scan
-from goniometer.safety import Forbidden
-from simulators.bench import OFFSET, PIXELS, READ_NOISE, WAVELENGTH_COEFFICIENTS, OpticalBench
-from simulators.faults import FaultScript
-from simulators.laboratory import FAMILIES, Laboratory, simulated_laboratory
+from goniometer.storage.records import Scan
+from simulators.bench.laboratory import FAMILIES, Laboratory, simulated_laboratory
+from simulators.bench.optics import OFFSET, PIXELS, READ_NOISE, WAVELENGTH_COEFFICIENTS, OpticalBench
+from simulators.devices.faults import FaultScript
 
 PAIRS = [("smc100", "oriental-az"), ("owis", "k10cr1"), ("k10cr1", "owis"), ("oriental-az", "smc100")]
 

@@ -17,11 +17,11 @@ import pytest
 import yaml
 
 from api.settings import load_instrument
-from goniometer.campaign import Campaign, Sample
-from goniometer.campaign_file import load_campaign
-from goniometer.certificate import Certificate
-from goniometer.certificate_file import parse_certificate
-from goniometer.tables import BENCH
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.campaigns.campaign_file import load_campaign
+from goniometer.certificates.certificate import Certificate
+from goniometer.certificates.certificate_file import parse_certificate
+from goniometer.storage.tables import BENCH
 from tests.served import served
 
 ROOT = Path(__file__).parents[2]

@@ -17,13 +17,13 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from analysis.fit_json import analysis_from_json
+from analysis.fits.fit_json import analysis_from_json
 from api.choices import WRITTEN
 from api.commands.main import app
 from api.exports.formats import FORMATS, Options, export_dataset
 from api.exports.texts import Published
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.bird_schemas import validator
 from tests.drawn_dataset import drawn_dataset
 

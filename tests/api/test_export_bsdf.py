@@ -14,7 +14,7 @@ from api.commands.main import app
 from api.commands.simulations import store_computed
 from goniometer.errors import InputError
 from simulators.computed import Computed
-from simulators.materials import SAMPLES, true_brdf
+from simulators.materials.materials import SAMPLES, true_brdf
 
 SCENE = """
 import sys

@@ -17,8 +17,8 @@ from api.errors import Conflict
 from api.views import opened
 from api.web.filling import NAME, fill_apart
 from api.web.live import open_live
-from goniometer.dataset import Dataset
-from goniometer.store import Store
+from goniometer.datasets.dataset import Dataset
+from goniometer.storage.store import Store
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
 from tests.served import wait_for

@@ -20,8 +20,8 @@ from api.results import fitting
 from api.results.fitting import Fits
 from api.web.live import open_live
 from api.web.queue_view import entry_view
-from goniometer.campaign import Campaign
-from goniometer.store import Store
+from goniometer.campaigns.campaign import Campaign
+from goniometer.storage.store import Store
 from tests.api.service_client import Client
 from tests.served import TINY
 

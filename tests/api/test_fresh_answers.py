@@ -16,10 +16,10 @@ from api.access.tokens import create_token, revoke_token
 from api.bench import queue
 from api.web.answers import Answers
 from api.web.live import Live, open_live
-from goniometer.campaign import Campaign
-from goniometer.certificate_file import certificate_csv
-from goniometer.store import Store
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.campaigns.campaign import Campaign
+from goniometer.certificates.certificate_file import certificate_csv
+from goniometer.storage.store import Store
+from simulators.materials.materials import PANEL_CERTIFICATE
 from tests.api.service_client import Client
 from tests.served import TINY
 

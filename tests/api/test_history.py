@@ -9,8 +9,8 @@ import pytest
 from api.bench.queue import add_entry, begun
 from api.views.history import history
 from drivers.arrays import FloatArray
-from goniometer.catalogue import Wanted
-from goniometer.store import Store
+from goniometer.storage.catalogue import Wanted
+from goniometer.storage.store import Store
 
 Small = tuple[Path, dict[str, Any]]
 

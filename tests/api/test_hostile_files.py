@@ -17,21 +17,21 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from analysis.scene import load_scene
+from analysis.scenes.scene import load_scene
 from api.results.imports import Request, imported_file
-from goniometer.bird_json import parsed_json, read_bird_json
-from goniometer.bird_metadata import read_about
-from goniometer.campaign_file import load_campaign, read_campaign
-from goniometer.certificate_file import parse_certificate
-from goniometer.dataset import Check, Dataset
-from goniometer.dataset_document import LARGEST_ARRAYS, document
-from goniometer.dataset_file import reloaded
-from goniometer.dataset_hdf5 import dataset_to_hdf5
-from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
-from goniometer.delimited import Meaning, read_delimited
+from goniometer.campaigns.campaign_file import load_campaign, read_campaign
+from goniometer.certificates.certificate_file import parse_certificate
+from goniometer.datasets.dataset import Check, Dataset
 from goniometer.errors import DataFileError, InputError
-from goniometer.published_json import read_published_json
-from goniometer.raw_text import read_raw_text
+from goniometer.files.bird_json import parsed_json, read_bird_json
+from goniometer.files.bird_metadata import read_about
+from goniometer.files.dataset_document import LARGEST_ARRAYS, document
+from goniometer.files.dataset_file import reloaded
+from goniometer.files.dataset_hdf5 import dataset_to_hdf5
+from goniometer.files.dataset_table import dataset_to_csv, dataset_to_parquet
+from goniometer.files.delimited import Meaning, read_delimited
+from goniometer.files.published_json import read_published_json
+from goniometer.files.raw_text import read_raw_text
 from tests.drawn_dataset import drawn_dataset
 from tests.little_memory import little_memory
 

@@ -14,7 +14,7 @@ import pytest
 from rich.table import Table
 from typer.testing import CliRunner
 
-from analysis.mitsuba_scene import read_mitsuba
+from analysis.mitsuba.scene import read_mitsuba
 from api.commands.main import app
 from api.exports.formats import Options, export_dataset
 from api.inert_console import InertConsole
@@ -22,12 +22,12 @@ from api.logs import log_as_json
 from api.results.foreign_scene import check_foreign_scene
 from api.results.imports import Request, imported_file
 from api.results.products import report_dataset
-from goniometer.campaign_file import read_campaign
-from goniometer.dataset import Check, Dataset
-from goniometer.dataset_file import reloaded
-from goniometer.dataset_hdf5 import dataset_to_hdf5
+from goniometer.campaigns.campaign_file import read_campaign
+from goniometer.datasets.dataset import Check, Dataset
 from goniometer.errors import DataFileError, InputError
-from goniometer.store import Store
+from goniometer.files.dataset_file import reloaded
+from goniometer.files.dataset_hdf5 import dataset_to_hdf5
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 
 COMMANDS = {

@@ -13,8 +13,8 @@ from api.commands.main import app
 from api.exports.formats import export_dataset
 from api.results.products import HowToFit, fit_dataset, last_way, report_dataset
 from goniometer.errors import InputError
-from goniometer.store import Store
-from simulators.materials import SAMPLES, true_brdf
+from goniometer.storage.store import Store
+from simulators.materials.materials import SAMPLES, true_brdf
 from tests.drawn_dataset import directions
 
 STATED = ("--relative-uncertainty", 0.01, "--aperture", 1, "--angle-uncertainty", 0.01)

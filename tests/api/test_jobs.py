@@ -24,7 +24,7 @@ from api.jobs.retention import Retention, prune
 from api.jobs.rows import INTERRUPTED, SILENT, Job, add_job, begin, finish, interrupt_orphans, job
 from api.jobs.running import Jobs
 from goniometer.errors import InputError, NotInStore, StoreError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 
 Place = tuple[Store, Path]

@@ -13,10 +13,10 @@ from api.bench.lease import Watcher, read_lease, release_lease, renew_lease, tak
 from api.bench.link import error_named
 from api.errors import Conflict
 from drivers.errors import DeviceFault
-from goniometer.campaign import Campaign, Sample
+from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.errors import CampaignError, InputError, NotInStore, StoreBusy
-from goniometer.records import now
-from goniometer.store import Store
+from goniometer.storage.records import now
+from goniometer.storage.store import Store
 from simulators.errors import UnknownMaterial
 
 

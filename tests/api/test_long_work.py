@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from analysis.fit_json import strict_json
+from analysis.fits.fit_json import strict_json
 from api import calls
 from api.access.accounts import add_user
 from api.access.tokens import create_token
@@ -25,9 +25,9 @@ from api.results.choose import choice_content, choose_model
 from api.results.products import report_dataset
 from api.results.tradeoff import Kind, charts
 from api.web.live import Live, open_live
-from goniometer.database import Database
-from goniometer.store import Store
-from simulators.ensemble import cells, ensemble, jobs
+from goniometer.storage.database import Database
+from goniometer.storage.store import Store
+from simulators.stability.ensemble import cells, ensemble, jobs
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
 from tests.served import Served, served, wait_for

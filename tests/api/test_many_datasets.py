@@ -11,9 +11,9 @@ from typer.testing import CliRunner, Result
 
 from api.commands.main import app
 from api.datasets import find_datasets
-from goniometer.campaign import Campaign, Sample
+from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.errors import NotInStore
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 from tests.served import served, wait_for
 

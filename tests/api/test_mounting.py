@@ -11,7 +11,7 @@ import pytest
 
 from api.terminal import ask_to_mount
 from goniometer.errors import RunAborted
-from goniometer.records import Scan
+from goniometer.storage.records import Scan
 
 SCAN = Scan(1, 1, 1, "sample", "Sample 1", "sample-1", "running", None, "", None, None, None)
 

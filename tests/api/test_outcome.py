@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from api.results.outcome import SampleOutcome, outcomes, remarks
-from goniometer.campaign import Campaign, Sample
-from goniometer.lineage import lacks_dataset, own_datasets
-from goniometer.store import Store
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.storage.lineage import lacks_dataset, own_datasets
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 
 GOOD = SampleOutcome(

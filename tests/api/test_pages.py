@@ -10,7 +10,7 @@ from api.bench.queue import add_entry
 from api.web import pages
 from api.web.access import Access
 from api.web.live import open_live
-from goniometer.campaign import Campaign, Sample
+from goniometer.campaigns.campaign import Campaign, Sample
 from tests.api.service_client import Client
 
 BUILT = {"index.html": "<!doctype html>", "assets/app-1a2b.js": "let x;", "favicon.svg": "<svg/>"}

@@ -17,13 +17,13 @@ from typer.testing import CliRunner, Result
 from api.commands.quality import register
 from api.results.quality import settings_of
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Campaign, Integration, Sample
-from goniometer.dataset import Check, Flag
+from goniometer.campaigns.campaign import Campaign, Integration, Sample
+from goniometer.datasets.dataset import Check, Flag
 from goniometer.errors import CertificateError, GeometryError, InputError, NotInStore
 from goniometer.geometry import Geometry
-from goniometer.lineage import own_datasets
-from goniometer.response import CORRECTIONS
-from goniometer.store import Store
+from goniometer.radiometry.response import CORRECTIONS
+from goniometer.storage.lineage import own_datasets
+from goniometer.storage.store import Store
 from tests.drawn_dataset import drawn_dataset
 
 CERTIFICATE = """# serial_number: {name}

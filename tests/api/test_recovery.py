@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.brdf_fit import brdf_fit
+from analysis.fits.brdf_fit import brdf_fit
 from api.commands.demo import SAMPLES
-from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign
-from goniometer.store import Store
-from simulators.materials import SAMPLES as MATERIALS
+from goniometer.campaigns.campaign import Campaign
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.storage.store import Store
+from simulators.materials.materials import SAMPLES as MATERIALS
 from tests.benchmarks.measured import measure
 
 SEEDS = range(1, 11)

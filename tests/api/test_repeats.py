@@ -15,16 +15,16 @@ from api.display import progress_display
 from api.preview import preview
 from api.results.outcome import outcomes
 from api.service import QUIET, open_bench, run
-from goniometer.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
-from goniometer.certificate_file import certificate_csv
-from goniometer.conditions import Conditions
+from goniometer.campaigns.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
+from goniometer.campaigns.conditions import Conditions
+from goniometer.certificates.certificate_file import certificate_csv
 from goniometer.errors import CampaignError
-from goniometer.estimate import NOTHING
-from goniometer.progress import Progress, Waiting
-from goniometer.records import Scan
-from goniometer.scheduler import Report, run_campaign
-from goniometer.store import Store
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.scans.estimate import NOTHING
+from goniometer.scans.progress import Progress, Waiting
+from goniometer.scans.scheduler import Report, run_campaign
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
+from simulators.materials.materials import PANEL_CERTIFICATE
 
 CAMPAIGN = Campaign(
     name="Repeats",

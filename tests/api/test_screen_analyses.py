@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from analysis.fit_json import strict_json
-from analysis.page import png
+from analysis.figures.page import png
+from analysis.fits.fit_json import strict_json
 from analysis.tradeoff import Axis, Chart, Choice, Use, charts_json
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.jobs.rows import add_job, begin, finish
 from api.results.stability import stability_content
-from simulators.ensemble import cells
-from simulators.stability import Estimate, Job, Run
+from simulators.stability.ensemble import cells
+from simulators.stability.stability import Estimate, Job, Run
 from tests.api.browser import Looker, looker, needs_chromium
 from tests.drawn_dataset import drawn_dataset
 from tests.served import TINY, Served, served

@@ -19,11 +19,11 @@ import pytest
 from httpx_sse import connect_sse
 
 from api.service import open_bench
-from goniometer.campaign import Campaign
-from goniometer.certificate_file import certificate_csv
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.campaigns.campaign import Campaign
+from goniometer.certificates.certificate_file import certificate_csv
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.materials.materials import PANEL_CERTIFICATE
 from tests.api.conftest import COMMAND
 from tests.served import LONG, TINY, Served, served, wait_for
 

@@ -17,9 +17,9 @@ from drivers.errors import DeviceNotFound
 from drivers.stage import Mounting
 from goniometer.constants import BenchData
 from goniometer.errors import ConfigurationError
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
-from simulators.smc100 import SimulatedSMC100
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
+from simulators.devices.smc100 import SimulatedSMC100
 
 SHOWN = Path(__file__).parents[2] / "docs" / "instrument.toml"
 

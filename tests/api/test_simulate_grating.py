@@ -9,7 +9,7 @@ from typer.testing import CliRunner, Result
 
 from api.commands.main import app
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 
 def invoke(*arguments: object) -> Result:

@@ -8,11 +8,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from analysis.errors import AnalysisError
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from api.commands.main import app
 from api.results.products import fit_dataset
 from goniometer.errors import InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 
 ROUGH = ("gaussian:0.4:3", "--size", 128, "--patches", 4, "--aperture", 3)
 GRIDS = ("--incident", "20:60:20", "--outgoing", "-80:80:5", "--wavelengths", "400:800:50")

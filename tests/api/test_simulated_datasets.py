@@ -13,10 +13,10 @@ from typer.testing import CliRunner, Result
 from api.commands.main import app
 from api.commands.simulations import store_computed
 from goniometer.errors import CampaignError, InputError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from simulators.computed import Computed
-from simulators.materials import SAMPLES, true_brdf
-from simulators.tabulated_file import read_tabulated
+from simulators.materials.materials import SAMPLES, true_brdf
+from simulators.materials.tabulated_file import read_tabulated
 
 
 def invoke(*arguments: object) -> Result:

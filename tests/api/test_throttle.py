@@ -9,8 +9,8 @@ import pytest
 from api.access import throttle
 from api.access.throttle import count_try, forgive
 from api.errors import TooManyFailures
-from goniometer.service_tables import logins
-from goniometer.store import Store
+from goniometer.storage.service_tables import logins
+from goniometer.storage.store import Store
 
 Clock = Callable[[float], None]
 

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.fresnel import load_conductor
-from analysis.tradeoff_fits import fit_charts
-from analysis.tradeoff_models import model_charts
+from analysis.costs.fits import fit_charts
+from analysis.costs.models import model_charts
+from analysis.reflectance.fresnel import load_conductor
 from api.commands.main import main
 from drivers.arrays import FloatArray
-from goniometer.plan_spec import PlanSpec
-from simulators import tradeoff_simulations
-from simulators.materials import material, true_brdf
-from simulators.topography import topography
-from simulators.tradeoff_bench import drawn
-from simulators.tradeoff_scans import scan_charts
-from simulators.tradeoff_simulations import simulation_charts
+from goniometer.plans.plan_spec import PlanSpec
+from simulators.costs import simulations
+from simulators.costs.bench import drawn
+from simulators.costs.scans import scan_charts
+from simulators.costs.simulations import simulation_charts
+from simulators.materials.materials import material, true_brdf
+from simulators.topographies.topography import topography
 
 
 def test_a_dynamic_scan_is_on_the_front_of_a_narrow_lobe() -> None:
@@ -60,9 +60,9 @@ def test_fits_of_the_bench_come_out_right_by_every_engine_at_all_wavelengths() -
 
 @pytest.mark.slow
 def test_more_rays_and_finer_transforms_err_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tradeoff_simulations, "RAYS", (1_000, 10_000))
-    monkeypatch.setattr(tradeoff_simulations, "REFERENCE_RAYS", 100_000)
-    monkeypatch.setattr(tradeoff_simulations, "WINDOWS", (1,))
+    monkeypatch.setattr(simulations, "RAYS", (1_000, 10_000))
+    monkeypatch.setattr(simulations, "REFERENCE_RAYS", 100_000)
+    monkeypatch.setattr(simulations, "WINDOWS", (1,))
     field = topography("gaussian:0.5:4", 64, 0.25, 1, micro=False).field
     rays, sums, waves = simulation_charts("made", field, 1, lambda _: None)
     errors = [choice.error for choice in rays.choices]

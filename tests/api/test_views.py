@@ -8,10 +8,10 @@ import colour
 import numpy as np
 import pytest
 
-from analysis.analyse import analyse
-from analysis.directions import in_plane
-from analysis.fit_json import analysis_to_json, fit_to_json
-from analysis.fits import fitted_slope
+from analysis.fits.analyse import analyse
+from analysis.fits.by_name import fitted_slope
+from analysis.fits.fit_json import analysis_to_json, fit_to_json
+from analysis.reflectance.directions import in_plane
 from analysis.results import SampleAnalysis
 from api.bodies.calibration import Drift
 from api.bodies.plots import InPlaneMap
@@ -23,15 +23,15 @@ from api.views.listing import detail
 from api.views.opened import Datasets, Fill, Opened, filled_content
 from api.views.slopes import slopes
 from api.views.spectra import point_spectrum
-from goniometer.budget import by_part
-from goniometer.catalogue import Wanted
-from goniometer.dataset import Dataset, Flag
-from goniometer.drift import REFERENCE_WAVELENGTH
+from goniometer.datasets.budget import by_part
+from goniometer.datasets.dataset import Dataset, Flag
+from goniometer.datasets.fill import TELLS
 from goniometer.errors import NotInStore
-from goniometer.fill import TELLS
-from goniometer.store import Store
+from goniometer.radiometry.drift import REFERENCE_WAVELENGTH
+from goniometer.storage.catalogue import Wanted
+from goniometer.storage.store import Store
 from simulators.choices import ABOUT
-from simulators.regimes import REGIMES
+from simulators.stability.regimes import REGIMES
 from tests.drawn_dataset import drawn_dataset
 
 Shown = tuple[Store, Datasets, Opened, SampleAnalysis]

@@ -19,21 +19,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.bsdf_energy import clamp, sampling_noise
-from analysis.bsdf_error import RelativeError, probe, read_back
-from analysis.bsdf_fields import LOBE_NODES, Grid, bsdf_fields, lobe_table
-from analysis.bsdf_search import Budget, lobe_for, smallest_grid, wavelength_nodes
+from analysis.bsdf.energy import clamp, sampling_noise
+from analysis.bsdf.error import RelativeError, probe, read_back
+from analysis.bsdf.export import LAYOUTS
+from analysis.bsdf.fields import LOBE_NODES, Grid, bsdf_fields, lobe_table
+from analysis.bsdf.measured_bsdf import read_bsdf
+from analysis.bsdf.rendered_model import RenderedModel, rendered
+from analysis.bsdf.search import Budget, lobe_for, smallest_grid, wavelength_nodes
+from analysis.bsdf.tensor_file import encode
 from analysis.colour import xyz_weights
-from analysis.distributions import ndf
-from analysis.export_mitsuba import LAYOUTS
-from analysis.fresnel import load_conductor
-from analysis.ladder import Microfacet
-from analysis.measured_bsdf import read_bsdf
-from analysis.microfacet import Form
-from analysis.page import figure, titled_page
-from analysis.rendered_model import RenderedModel, rendered
-from analysis.svg import new_axes, style, to_svg
-from analysis.tensor_file import encode
+from analysis.figures.page import figure, titled_page
+from analysis.figures.svg import new_axes, style, to_svg
+from analysis.reflectance.distributions import ndf
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.microfacet import Form
+from analysis.scenes.ladder import Microfacet
 from drivers.arrays import FloatArray
 from tests.benchmarks.figures import tell
 

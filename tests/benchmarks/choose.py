@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from analysis.brdf_table import BrdfTable, Reference, reference_table
-from analysis.choose import NODES, choose, without_draws
-from analysis.directions import Directions
-from analysis.distributions import g1, ndf
-from analysis.fits import fit_models, local_fit_for
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.ladder import METAL_FITS, roughness
-from analysis.mitsuba_run import Material, trace_mitsuba
-from analysis.mitsuba_scene import MitsubaScene, read_mitsuba, write_mitsuba
-from analysis.models import cook_torrance, cosine_slope, shift, theta_m
+from analysis.fits.by_name import fit_models, local_fit_for
+from analysis.mitsuba.run import Material, trace_mitsuba
+from analysis.mitsuba.scene import MitsubaScene, read_mitsuba, write_mitsuba
+from analysis.mitsuba.verify import verify
+from analysis.reflectance.directions import Directions
+from analysis.reflectance.distributions import g1, ndf
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.models import cook_torrance, cosine_slope, shift, theta_m
 from analysis.results import ModelFit
-from analysis.scene import Scene
-from analysis.scene_rays import trace
-from analysis.verify import verify
-from analysis.vertices import Vertices
+from analysis.scenes.brdf_table import BrdfTable, Reference, reference_table
+from analysis.scenes.choose import NODES, choose, without_draws
+from analysis.scenes.ladder import METAL_FITS, roughness
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene
+from analysis.scenes.vertices import Vertices
 from drivers.arrays import FloatArray
 from tests.analysis.conftest import _measure
 from tests.benchmarks.figures import tell

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.figures import line_colours
-from analysis.fresnel import load_conductor
-from analysis.local_fit import local_fit
-from analysis.svg import INK, new_axes, style, to_svg
+from analysis.figures.panels import line_colours
+from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.fits.local_fit import local_fit
+from analysis.reflectance.fresnel import load_conductor
 from simulators.choices import Kernel
 from simulators.computed import Computed, computed_dataset
-from simulators.heights import HeightField
-from simulators.sampling import refined, sampling
-from simulators.waves import averaged_brdf, scattering_vectors
+from simulators.topographies.heights import HeightField
+from simulators.waves.sampling import refined, sampling
+from simulators.waves.waves import averaged_brdf, scattering_vectors
 from tests.benchmarks import claims_rays
 from tests.benchmarks.claims_waves import (
     BANDS,

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField, complete
+from simulators.topographies.heights import HeightField, complete
 
 SIGMA = 1 / (2 * sqrt(2 * log(2)))
 """Of an element over the pitch."""

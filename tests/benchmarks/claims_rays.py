@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from drivers.arrays import BoolArray, FloatArray
-from simulators.heights import HeightField, complete, roughness
-from simulators.rays import virtual_scan
-from simulators.sampling import refined
-from simulators.synthesis import with_micro_roughness
+from simulators.rays.rays import virtual_scan
+from simulators.topographies.heights import HeightField, complete, roughness
+from simulators.topographies.synthesis import with_micro_roughness
+from simulators.waves.sampling import refined
 from tests.benchmarks.claims_waves import craters
 
 NM = np.array([380.0])

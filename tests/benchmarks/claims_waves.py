@@ -14,12 +14,12 @@ import numpy as np
 
 from drivers.arrays import FloatArray
 from simulators.choices import Kernel
-from simulators.diffraction import Coherence, seen_through
-from simulators.heights import HeightField
-from simulators.materials import SAMPLES
-from simulators.sampling import CoarseSampling
-from simulators.synthesis import sandblasted_sample, with_micro_roughness
-from simulators.waves import Averaged, averaged, averaged_brdf, obliquity, scattering_vectors
+from simulators.materials.materials import SAMPLES
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import sandblasted_sample, with_micro_roughness
+from simulators.waves.diffraction import Coherence, seen_through
+from simulators.waves.sampling import CoarseSampling
+from simulators.waves.waves import Averaged, averaged, averaged_brdf, obliquity, scattering_vectors
 from tests.benchmarks.claims_elements import mean_squares
 
 NM = np.linspace(380.0, 780.0, 20)

@@ -24,21 +24,21 @@ import psutil
 from distributed import LocalCluster
 from distributed.protocol.pickle import dumps
 
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.report import NO_RUN
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reports.report import NO_RUN
 from api.cluster import connected
 from api.executor import processes
 from api.results.derive import derive
 from api.results.products import fit_datasets
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from simulators.choices import Kernel
-from simulators.diffraction import seen_through
-from simulators.ensemble import ensemble, jobs
-from simulators.ray_scan import Goniometer, ray_scan
-from simulators.rays import terrain
-from simulators.topography import topography
-from simulators.wave_scan import Setup, choose_patches
-from simulators.wave_simulation import simulate
+from simulators.rays.rays import terrain
+from simulators.rays.scan import Goniometer, ray_scan
+from simulators.stability.ensemble import ensemble, jobs
+from simulators.topographies.topography import topography
+from simulators.waves.diffraction import seen_through
+from simulators.waves.scan import Setup, choose_patches
+from simulators.waves.simulation import simulate
 from tests.benchmarks.figures import tell
 from tests.drawn_dataset import drawn_dataset
 

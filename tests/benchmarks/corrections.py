@@ -20,14 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.calibration import calibrate
-from goniometer.campaign import AngleSteps, Campaign, Integration, Monitor, Reference, Resolution, Sample
-from goniometer.dataset import Dataset
-from goniometer.raw import RawScan, read_raw
-from goniometer.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
-from simulators.materials import PANEL_CERTIFICATE, material, true_brdf
+from goniometer.campaigns.campaign import AngleSteps, Campaign, Integration, Monitor, Reference, Resolution, Sample
+from goniometer.datasets.dataset import Dataset
+from goniometer.radiometry.calibration import calibrate
+from goniometer.radiometry.raw import RawScan, read_raw
+from goniometer.radiometry.response import CORRECTIONS, DEFAULT_CORRECTIONS, Settings
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
+from simulators.materials.materials import PANEL_CERTIFICATE, material, true_brdf
 from tests.benchmarks.figures import tell
 from tests.benchmarks.measured import measure
 

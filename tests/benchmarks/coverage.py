@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Monitor, Reference, Resolution, Sample
+from goniometer.campaigns.campaign import Campaign, Monitor, Reference, Resolution, Sample
 from goniometer.constants import BenchData
-from goniometer.store import Store
-from simulators.imperfections import drawn, generator
-from simulators.materials import material, true_brdf
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import drawn, generator
+from simulators.materials.materials import material, true_brdf
 from tests.benchmarks.figures import tell
 from tests.benchmarks.measured import measure
 

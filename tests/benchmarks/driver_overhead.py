@@ -21,7 +21,7 @@ import numpy as np
 from drivers.arrays import CountArray
 from drivers.interfaces import StagePhase
 from goniometer.geometry import Geometry
-from simulators.bench import OpticalBench
+from simulators.bench.optics import OpticalBench
 from tests.benchmarks.figures import tell
 from tests.benchmarks.nights import RTU, bench
 

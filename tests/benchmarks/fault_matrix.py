@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from drivers.errors import DriverError
 from drivers.modbus_line import PAUSES
 from drivers.serial_port import ATTEMPTS
-from simulators.faults import LASTING, Fault, FaultScript, Kind
+from simulators.devices.faults import LASTING, Fault, FaultScript, Kind
 from tests.benchmarks.figures import tell
 from tests.benchmarks.rigs import DEVICES, LASTS, NAME, TIMEOUT, Rig, make_rig
 

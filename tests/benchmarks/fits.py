@@ -15,20 +15,20 @@ from typing import TypeVar
 import lmfit
 import numpy as np
 
-from analysis.brdf_problem import from_search, problem, to_search, weighted_residual
-from analysis.brdf_start import find_starts
 from analysis.choices import Engine
-from analysis.directions import in_plane, round_aperture
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.global_fit import W_BOUNDS, global_fit, search_slopes, slope_problem
-from analysis.least_squares import SumOfSquares, minimise
-from analysis.local_fit import local_exponents, local_fit
-from analysis.loew import LoewData, loew_data
-from analysis.microfacet import Form, View
-from analysis.models import measured_cook_torrance, normalised_fresnel
+from analysis.fits.brdf_problem import from_search, problem, to_search, weighted_residual
+from analysis.fits.brdf_start import find_starts
+from analysis.fits.global_fit import W_BOUNDS, global_fit, search_slopes, slope_problem
+from analysis.fits.least_squares import SumOfSquares, minimise
+from analysis.fits.local_fit import local_exponents, local_fit
+from analysis.fits.loew import LoewData, loew_data
+from analysis.reflectance.directions import in_plane, round_aperture
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.microfacet import Form, View
+from analysis.reflectance.models import measured_cook_torrance, normalised_fresnel
 from analysis.results import LocalFit
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
+from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
 from tests.benchmarks.figures import tell
 

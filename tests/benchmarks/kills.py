@@ -34,14 +34,14 @@ from sqlalchemy import Engine, event
 
 from api.datasets import make_dataset
 from api.service import open_bench
-from goniometer.backup import back_up, restore
-from goniometer.campaign import Campaign, Resolution, Sample
-from goniometer.database import Database
-from goniometer.integrity import check
-from goniometer.records import Scan
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from goniometer.upgrade import upgrade
+from goniometer.campaigns.campaign import Campaign, Resolution, Sample
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.database import Database
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
+from goniometer.upkeep.backup import back_up, restore
+from goniometer.upkeep.integrity import check
+from goniometer.upkeep.upgrade import upgrade
 from tests.benchmarks.figures import tell
 from tests.campaign_bench import NOMINAL_PANEL
 from tests.goniometer.old_databases import SCHEMAS, build

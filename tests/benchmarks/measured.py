@@ -3,13 +3,13 @@
 import asyncio
 
 from api.service import open_bench
-from goniometer.campaign import Campaign
-from goniometer.certificate_file import certificate_csv
-from goniometer.records import Scan
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.campaigns.campaign import Campaign
+from goniometer.certificates.certificate_file import certificate_csv
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.records import Scan
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
+from simulators.materials.materials import PANEL_CERTIFICATE
 
 
 def measure(store: Store, campaign: Campaign, imperfections: Imperfections | None = None) -> list[Scan]:

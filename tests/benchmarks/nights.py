@@ -14,17 +14,17 @@ from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
 from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
-from goniometer.campaign import Campaign
+from goniometer.bench.instrument import RECOVERY_PAUSES, Instrument
+from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import ReferenceIncomplete
-from goniometer.instrument import RECOVERY_PAUSES, Instrument
-from goniometer.progress import Progress
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.laboratory import COUNTS_PER_DEGREE, FAMILIES, STAGES, Laboratory, simulated_laboratory
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.qepro import QEProFaults
+from goniometer.scans.progress import Progress
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.bench.laboratory import COUNTS_PER_DEGREE, FAMILIES, STAGES, Laboratory, simulated_laboratory
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
+from simulators.devices.oriental_az import SimulatedOrientalAZ
+from simulators.devices.qepro import QEProFaults
 
 TIMEOUT = 0.1
 """Real seconds that a driver waits for a reply."""
@@ -76,7 +76,7 @@ def _stage(name: str, family: str, url: str, clock: SimulatedClock) -> Any:
 def bench(seed: int, stages: tuple[str, str] = STAGES) -> Iterator[tuple[Laboratory, Instrument]]:
     """A laboratory, and an instrument in it that is not yet open."""
     with (
-        patch("simulators.laboratory.SimulatedClock", PatientClock),
+        patch("simulators.bench.laboratory.SimulatedClock", PatientClock),
         patch.dict(FAMILIES, {RTU: lambda axis, _: SimulatedOrientalAZ(axis, rtu=True)}),
         simulated_laboratory(seed, stages) as laboratory,
     ):

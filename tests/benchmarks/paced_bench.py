@@ -10,7 +10,7 @@ import threading
 import time
 
 from api.commands.main import main
-from simulators.clock import SimulatedClock
+from simulators.devices.clock import SimulatedClock
 
 PACE = 1 / 60
 """Seconds that pass for a second of the bench, on which a point takes half a minute; samples are exchanged at once."""

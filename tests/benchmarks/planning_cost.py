@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from goniometer.duration import DEAD_TIME
+from goniometer.bench.route import Motion, travel
 from goniometer.geometry import Geometry
-from goniometer.interpolant import predict_values
-from goniometer.learning import learnt_from
-from goniometer.plan import Measured, PlanSpec, interpolation, next_points
-from goniometer.route import Motion, travel
-from simulators.tradeoff_scans import process_of, uniform_directions
+from goniometer.interpolation.interpolant import predict_values
+from goniometer.plans.learning import learnt_from
+from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points
+from goniometer.scans.duration import DEAD_TIME
+from simulators.costs.scans import process_of, uniform_directions
 from tests.benchmarks.figures import tell
 from tests.benchmarks.sampling import THETA_IN
 from tests.benchmarks.sampling_materials import BANDS, MATERIALS

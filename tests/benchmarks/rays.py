@@ -22,14 +22,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from drivers.arrays import FloatArray
-from simulators.heights import HeightField
-from simulators.materials import SAMPLES
-from simulators.ray_decomposition import coarser, jackknife
-from simulators.ray_scan import Goniometer, RayScan, ray_scan
-from simulators.rays import beam, terrain, trace, virtual_scan
-from simulators.synthesis import gaussian, gaussian_correlation, sandblasted_sample
+from simulators.materials.materials import SAMPLES
+from simulators.rays.decomposition import coarser, jackknife
+from simulators.rays.rays import beam, terrain, trace, virtual_scan
+from simulators.rays.scan import Goniometer, RayScan, ray_scan
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import gaussian, gaussian_correlation, sandblasted_sample
 from tests.benchmarks.figures import tell
 from tests.embree_tracer import embree
 

@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from goniometer.calibration import calibrate
-from goniometer.certificate import NOMINAL_SRS99
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.geometry import Geometry
-from goniometer.raw import RawScan
-from goniometer.records import pack_dataset
-from goniometer.response import Settings
+from goniometer.radiometry.calibration import calibrate
+from goniometer.radiometry.raw import RawScan
+from goniometer.radiometry.response import Settings
+from goniometer.storage.records import pack_dataset
 from tests.benchmarks.figures import tell
 from tests.goniometer.forward import Bench, Wrong, lobe, spectralon
 

@@ -16,19 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.brdf_fit import form_of
+from analysis.bsdf.export import BsdfReport, write_bsdf
 from analysis.errors import RenderError
-from analysis.export_mitsuba import BsdfReport, write_bsdf
-from analysis.export_plugin import plugin_material
-from analysis.figures import SEQUENCE
-from analysis.fresnel import load_conductor
-from analysis.ladder import Microfacet
-from analysis.mitsuba_run import bsdf_element
-from analysis.page import figure, page
-from analysis.render import VARIANTS, Pictures, Variant, compare, render_scenes
+from analysis.figures.page import figure, page
+from analysis.figures.panels import SEQUENCE
+from analysis.figures.svg import new_axes, style, to_svg
+from analysis.fits.brdf_fit import form_of
+from analysis.mitsuba.export_plugin import plugin_material
+from analysis.mitsuba.render import VARIANTS, Pictures, Variant, compare, render_scenes
+from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_scene import DEPTH, SceneFiles, vase_scene
+from analysis.reflectance.fresnel import load_conductor
 from analysis.results import Albedo
-from analysis.svg import new_axes, style, to_svg
-from analysis.vase_scene import DEPTH, SceneFiles, vase_scene
+from analysis.scenes.ladder import Microfacet
 from drivers.arrays import FloatArray
 from tests.benchmarks.figures import tell
 

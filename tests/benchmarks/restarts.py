@@ -28,9 +28,9 @@ import httpx
 from api.access import audit
 from api.access.tokens import create_token, ensure_first_user
 from api.web.serve import Listen, serve
-from goniometer.database import Database
-from goniometer.integrity import check
-from goniometer.store import Store
+from goniometer.storage.database import Database
+from goniometer.storage.store import Store
+from goniometer.upkeep.integrity import check
 from tests.api.nursery import HEAVY
 from tests.benchmarks.figures import tell
 from tests.benchmarks.kills import live, opened

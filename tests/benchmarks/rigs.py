@@ -11,9 +11,9 @@ from drivers.errors import DriverError
 from drivers.interfaces import StagePhase
 from drivers.qepro import QEPro, QEProLight
 from drivers.stage import Stage
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
-from simulators.qepro import QEProFaults, SimulatedQEPro
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
+from simulators.devices.qepro import QEProFaults, SimulatedQEPro
 from tests.stage_bench import FAMILIES, HeldClock
 
 NAME = "device under test"

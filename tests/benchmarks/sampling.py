@@ -20,10 +20,10 @@ from scipy.interpolate import PchipInterpolator
 
 from analysis.colour import delta_e_2000, xyz_weights
 from drivers.arrays import FloatArray
+from goniometer.bench.route import ordered
 from goniometer.geometry import Geometry
-from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
-from goniometer.route import ordered
-from simulators.tradeoff_scans import (
+from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
+from simulators.costs.scans import (
     Read,
     bench_minutes,
     process_of,
@@ -222,7 +222,7 @@ def chart(everything: dict[str, list[Result]]) -> str:
     from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.ticker import NullFormatter  # noqa: PLC0415
 
-    from analysis.svg import INK, style, to_svg  # noqa: PLC0415
+    from analysis.figures.svg import INK, style, to_svg  # noqa: PLC0415
 
     looks = {
         "uniform": ("#c95a5a", "s"),

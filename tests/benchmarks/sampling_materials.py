@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.directions import in_plane, round_aperture, through_aperture
-from analysis.distributions import g1, ndf
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.models import cosine_slope, shift, theta_m
+from analysis.reflectance.directions import in_plane, round_aperture, through_aperture
+from analysis.reflectance.distributions import g1, ndf
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.models import cosine_slope, shift, theta_m
 from drivers.arrays import FloatArray
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])

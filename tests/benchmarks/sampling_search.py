@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.directions import round_aperture
+from analysis.reflectance.directions import round_aperture
 from drivers.arrays import FloatArray
-from goniometer.interpolant import predict_values
-from goniometer.plan import Measured, PlanSpec, interpolation, next_points, segments
-from goniometer.sweep import Swept, averaged
+from goniometer.interpolation.interpolant import predict_values
+from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, segments
+from goniometer.plans.sweep import Swept, averaged
 from tests.benchmarks.figures import tell
 from tests.goniometer.test_sweep import intervals
 

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.asked import asked, scene_weights
-from analysis.brdf_table import BrdfTable, Visibility, folded, table_nodes
-from analysis.directions import in_plane
-from analysis.scene import Scene
-from analysis.scene_rays import trace
-from analysis.vertices import Vertices, display_for, to_pixels, xyz_of_vertices
+from analysis.reflectance.directions import in_plane
+from analysis.scenes.asked import asked, scene_weights
+from analysis.scenes.brdf_table import BrdfTable, Visibility, folded, table_nodes
+from analysis.scenes.rays import trace
+from analysis.scenes.scene import Scene
+from analysis.scenes.vertices import Vertices, display_for, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
-from goniometer.interpolant import predict_values
-from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached
-from simulators.tradeoff_scans import bench_minutes
+from goniometer.interpolation.interpolant import predict_values
+from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached
+from simulators.costs.scans import bench_minutes
 from tests.benchmarks.choose import CAMERA
 from tests.benchmarks.choose import SCENES as OF_CHOICE
 from tests.benchmarks.figures import tell

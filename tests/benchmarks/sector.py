@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.sector [SEEDS]
 
-For every material a dynamic scan is simulated, its sectors are filled (`goniometer.fill`), and the actual errors are
-compared with the stated uncertainties: of all materials of `sampling_materials`, and of bumps around the way back into
-the lamp that become ever narrower than the sector, once as the plan ends it and once with more directions beside it.
+For every material a dynamic scan is simulated, its sectors are filled (`goniometer.datasets.fill`), and the actual
+errors are compared with the stated uncertainties: of all materials of `sampling_materials`, and of bumps around the way
+back into the lamp that become ever narrower than the sector, once as the plan ends it and once with more directions
+beside it.
 """
 
 import sys
@@ -14,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset
-from goniometer.fill import fill, unmeasured
+from goniometer.datasets.dataset import Dataset
+from goniometer.datasets.fill import fill, unmeasured
 from goniometer.geometry import LARGEST_ANGLE, Geometry
 from goniometer.uncertainty import ErrorSource, everywhere
-from simulators.tradeoff_scans import DARK, NOISE
+from simulators.costs.scans import DARK, NOISE
 from tests.benchmarks.figures import tell
 from tests.benchmarks.sampling import SPEC, THETA_IN, dynamic
 from tests.benchmarks.sampling_materials import MATERIALS

@@ -32,7 +32,7 @@ import httpx
 import numpy as np
 
 from drivers.arrays import FloatArray
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.benchmarks.figures import tell
 from tests.drawn_dataset import drawn_dataset
 from tests.served import LONG

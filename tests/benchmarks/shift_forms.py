@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import least_squares
 
-from analysis.directions import in_plane
-from analysis.models import cosine_slope
-from analysis.two_component import mixed_slope, two_component_slope
+from analysis.reflectance.directions import in_plane
+from analysis.reflectance.models import cosine_slope
+from analysis.reflectance.two_component import mixed_slope, two_component_slope
 from drivers.arrays import FloatArray
 from tests.benchmarks.figures import tell
 

@@ -21,11 +21,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from goniometer.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
-from goniometer.progress import Progress
-from goniometer.store import Store
-from simulators.faults import LASTING, Fault, FaultScript, Kind
-from simulators.laboratory import Laboratory
+from goniometer.campaigns.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
+from goniometer.scans.progress import Progress
+from goniometer.storage.store import Store
+from simulators.bench.laboratory import Laboratory
+from simulators.devices.faults import LASTING, Fault, FaultScript, Kind
 from tests.benchmarks.figures import tell
 from tests.benchmarks.nights import LASTS, ROLES, run
 from tests.benchmarks.truth import Truth, lost, wrong
@@ -50,7 +50,7 @@ class _Retries(logging.Handler):
         self.counts: Counter[str] = Counter()
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.counts[record.name.partition(".")[0] if record.name != "goniometer.scheduler" else "scheduler"] += 1
+        self.counts[record.name.partition(".")[0] if record.name != "goniometer.scans.scheduler" else "scheduler"] += 1
 
 
 @dataclass

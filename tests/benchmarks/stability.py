@@ -11,7 +11,7 @@ import sys
 from api.executor import processes
 from api.results.stability import silent_line
 from simulators.choices import ABOUT, METHODS
-from simulators.ensemble import ensemble, jobs
+from simulators.stability.ensemble import ensemble, jobs
 from tests.benchmarks.figures import tell
 
 

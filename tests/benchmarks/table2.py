@@ -1,8 +1,8 @@
 """Table 2 of the paper in kind: Cook-Torrance with and without the shift on samples that neither of them describes.
 
 Measured on the simulated bench through the drivers, calibrated and fitted as any sample is. The truth behind them
-(`simulators.surfaces`) has two components of light and normals that are a mixture, so what is left over is the model's
-fault and not the noise's. Beside our mean colour differences stand the paper's. Run with
+(`simulators.materials.surfaces`) has two components of light and normals that are a mixture, so what is left over is
+the model's fault and not the noise's. Beside our mean colour differences stand the paper's. Run with
 
     python -m tests.benchmarks.table2 [--seed N]
 """
@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.analyse import analyse
+from analysis.fits.analyse import analyse
 from analysis.results import SampleAnalysis
 from api.datasets import make_dataset
-from goniometer.campaign import Campaign, Sample
-from goniometer.dataset import Dataset
-from goniometer.store import Store
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.datasets.dataset import Dataset
+from goniometer.storage.store import Store
 from tests.benchmarks.figures import tell
 from tests.benchmarks.measured import measure
 

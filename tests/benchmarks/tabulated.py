@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.directions import round_aperture
+from analysis.reflectance.directions import round_aperture
 from drivers.arrays import FloatArray
-from simulators.materials import DETECTOR_APERTURE, SAMPLES, true_brdf
-from simulators.tabulated import Row, Tabulated, tabulated_brdf
-from simulators.tabulated_file import read_tabulated, write_tabulated
+from simulators.materials.materials import DETECTOR_APERTURE, SAMPLES, true_brdf
+from simulators.materials.tabulated import Row, Tabulated, tabulated_brdf
+from simulators.materials.tabulated_file import read_tabulated, write_tabulated
 from tests.benchmarks.figures import tell
 from tests.drawn_dataset import drawn_dataset
 

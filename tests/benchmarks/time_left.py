@@ -12,13 +12,13 @@ from pathlib import Path
 
 from api.preview import preview
 from api.service import open_instrument
-from goniometer.campaign import Campaign, Sample
-from goniometer.certificate_file import certificate_csv
-from goniometer.progress import Progress
-from goniometer.records import Expected
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.materials import PANEL_CERTIFICATE
+from goniometer.campaigns.campaign import Campaign, Sample
+from goniometer.certificates.certificate_file import certificate_csv
+from goniometer.scans.progress import Progress
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.records import Expected
+from goniometer.storage.store import Store
+from simulators.materials.materials import PANEL_CERTIFICATE
 from tests.benchmarks.figures import tell
 
 MATERIALS = ("sample-1", "sample-4", "mirror")

@@ -7,15 +7,15 @@ from functools import partial
 import numpy as np
 
 from drivers.arrays import CountArray, FloatArray
-from goniometer.campaign import Campaign
-from goniometer.exposure import ladder
+from goniometer.campaigns.campaign import Campaign
 from goniometer.geometry import Geometry
-from goniometer.plan import monitor_direction, next_points, plan_spec, reference_points
-from goniometer.records import Exposure, Point, Scan
-from goniometer.store import Store
-from simulators.bench import FULL_SCALE, GAIN, READ_NOISE, STATED, OpticalBench, positioning_error
-from simulators.clock import SimulatedClock
-from simulators.imperfections import drawn
+from goniometer.plans.plan import monitor_direction, next_points, plan_spec, reference_points
+from goniometer.scans.exposure import ladder
+from goniometer.storage.records import Exposure, Point, Scan
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import drawn
+from simulators.bench.optics import FULL_SCALE, GAIN, READ_NOISE, STATED, OpticalBench, positioning_error
+from simulators.devices.clock import SimulatedClock
 
 AT_PLAN = 0.02
 """Degrees between the planned angle of a stage and the one read back."""

@@ -22,17 +22,17 @@ from typing import TypeVar
 import numba
 import numpy as np
 
-from analysis.fresnel import load_conductor
+from analysis.reflectance.fresnel import load_conductor
 from drivers.arrays import FloatArray
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from simulators.choices import Kernel
-from simulators.diffraction import diffraction_integral, seen_through, window
-from simulators.heights import HeightField
-from simulators.sampling import CoarseSampling, refined, sampling
-from simulators.wave_convergence import HALF_STEP
-from simulators.wave_scan import Setup, choose_patches
-from simulators.wave_simulation import simulate
-from simulators.waves import averaged, averaged_brdf, scattering_vectors
+from simulators.topographies.heights import HeightField
+from simulators.waves.convergence import HALF_STEP
+from simulators.waves.diffraction import diffraction_integral, seen_through, window
+from simulators.waves.sampling import CoarseSampling, refined, sampling
+from simulators.waves.scan import Setup, choose_patches
+from simulators.waves.simulation import simulate
+from simulators.waves.waves import averaged, averaged_brdf, scattering_vectors
 from tests.benchmarks.figures import tell
 
 WAVELENGTHS = np.linspace(380.0, 780.0, 20)

@@ -22,9 +22,9 @@ from unittest.mock import patch
 import numpy as np
 
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Campaign, Sample
+from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.geometry import Geometry
-from goniometer.store import Store
+from goniometer.storage.store import Store
 from tests.benchmarks.figures import tell
 from tests.databases import fresh_database, start_server
 
@@ -49,7 +49,7 @@ def main(rounds: int) -> None:
         for turn in range(rounds):
             for what, work in WORK.items():
                 for name in list(stores) if turn % 2 else list(stores)[::-1]:
-                    unhashed = patch("goniometer.records.exposure_hash", _known)
+                    unhashed = patch("goniometer.storage.records.exposure_hash", _known)
                     with unhashed if name == BARE else nullcontext():
                         start = time.perf_counter()
                         count = work(stores[name], scans[name])

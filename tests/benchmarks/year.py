@@ -27,11 +27,11 @@ from api.commands.main import app
 from api.datasets import find_datasets
 from api.results.certificates import known_certificates
 from api.service import active_scan
-from goniometer import look_up
-from goniometer.catalogue import Wanted
-from goniometer.dataset import Flag
+from goniometer.datasets.dataset import Flag
 from goniometer.errors import NotInStore
-from goniometer.store import Store
+from goniometer.storage import look_up
+from goniometer.storage.catalogue import Wanted
+from goniometer.storage.store import Store
 from tests.benchmarks.figures import tell
 from tests.busy_year import BEGINNING, NAMES, SAMPLES, octets, spectra_of, write_year
 from tests.served import Served, served

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from goniometer.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
-from goniometer.progress import Progress
-from goniometer.store import Store
-from simulators.faults import LASTING, Fault, FaultScript, Kind
-from simulators.laboratory import Laboratory
+from goniometer.campaigns.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
+from goniometer.scans.progress import Progress
+from goniometer.storage.store import Store
+from simulators.bench.laboratory import Laboratory
+from simulators.devices.faults import LASTING, Fault, FaultScript, Kind
 from tests.benchmarks.fault_matrix import BLIND, moments, requests_of, strike
 from tests.benchmarks.nights import LASTS, RTU, chance, run
 from tests.benchmarks.rigs import DEVICES

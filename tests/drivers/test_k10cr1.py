@@ -8,7 +8,7 @@ import thorlabs_apt_protocol as thorlabs
 
 from drivers.errors import DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.k10cr1 import ACCELERATION_UNITS, COUNTS_PER_DEGREE, K10CR1, VELOCITY_UNITS
-from simulators.k10cr1 import SimulatedK10CR1
+from simulators.devices.k10cr1 import SimulatedK10CR1
 from tests.stage_bench import Bench, Family
 
 STEP = 1 / COUNTS_PER_DEGREE

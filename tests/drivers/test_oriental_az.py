@@ -20,7 +20,7 @@ from drivers.errors import (
 )
 from drivers.interfaces import StagePhase
 from drivers.oriental_az import OrientalAZ
-from simulators.clock import SimulatedClock
+from simulators.devices.clock import SimulatedClock
 from tests.stage_bench import FAMILIES, Bench, until
 
 LINES = ["tcp", "rtu", "terminal"]

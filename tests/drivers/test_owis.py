@@ -10,9 +10,9 @@ import pytest
 from drivers.errors import DeviceDisconnected, DeviceFault, DeviceNotFound, DeviceRefused, ProtocolError
 from drivers.interfaces import StagePhase
 from drivers.owis import OwisPS, ReferenceMode
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
-from simulators.owis import SimulatedOwisPS
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
+from simulators.devices.owis import SimulatedOwisPS
 from tests.stage_bench import FAMILIES, HAS_TERMINALS, Bench, until
 
 

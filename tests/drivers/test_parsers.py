@@ -32,13 +32,13 @@ from drivers.qepro_wire import METADATA, PIXELS, SPECTRUM
 from drivers.serial_port import Query, SerialPort, line
 from drivers.smc100 import SMC100
 from drivers.stage import Stage
-from simulators.clock import SimulatedClock
-from simulators.k10cr1 import SimulatedK10CR1
-from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.owis import SimulatedOwisPS
-from simulators.smc100 import SimulatedSMC100
-from simulators.wire import ByteServer
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.k10cr1 import SimulatedK10CR1
+from simulators.devices.motion import Axis
+from simulators.devices.oriental_az import SimulatedOrientalAZ
+from simulators.devices.owis import SimulatedOwisPS
+from simulators.devices.smc100 import SimulatedSMC100
+from simulators.devices.wire import ByteServer
 from tests.bombarded import bombarded
 
 MOST_READS = 50_000

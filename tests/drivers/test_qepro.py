@@ -21,11 +21,11 @@ from drivers.errors import (
 from drivers.interfaces import Light, Spectrometer, Spectrum
 from drivers.qepro import QEPro, QEProLight
 from drivers.qepro_wire import Gpio, TriggerMode
-from simulators.bench import OpticalBench
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.imperfections import Imperfections
-from simulators.qepro import SimulatedQEPro
+from simulators.bench.imperfections import Imperfections
+from simulators.bench.optics import OpticalBench
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
+from simulators.devices.qepro import SimulatedQEPro
 
 
 class Glow:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import DeviceNotFound, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.smc100 import SMC100
-from simulators.faults import Fault, FaultScript, Kind
+from simulators.devices.faults import Fault, FaultScript, Kind
 from tests.stage_bench import FAMILIES, Bench
 
 LIMITS = (-10.0, 100.0)

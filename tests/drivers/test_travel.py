@@ -7,8 +7,8 @@ import pytest
 from drivers.errors import DeviceFault, DeviceRefused, DeviceTimeout
 from drivers.interfaces import StagePhase, StageState
 from drivers.travel import check_arrival, check_limits, travel_time, wait_for_rest
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
 
 
 @pytest.mark.parametrize("distance", [0.01, 4.99, 5.0, 5.01, 60.0, -60.0])

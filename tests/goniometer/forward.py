@@ -10,14 +10,14 @@ from datetime import date
 
 import numpy as np
 
-from analysis.directions import round_aperture, through_aperture
-from analysis.fresnel import Conductor
-from analysis.models import cook_torrance
+from analysis.reflectance.directions import round_aperture, through_aperture
+from analysis.reflectance.fresnel import Conductor
+from analysis.reflectance.models import cook_torrance
 from drivers.arrays import FloatArray
-from goniometer.certificate import NOMINAL_SRS99
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.constants import BenchData, Constants
 from goniometer.geometry import Geometry
-from goniometer.raw import Dark, RawScan, Shot
+from goniometer.radiometry.raw import Dark, RawScan, Shot
 
 PIXELS = 1044
 WAVELENGTHS = np.linspace(250, 1050, PIXELS)

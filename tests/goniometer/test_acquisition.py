@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceTimeout
-from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Homogeneity, Integration, Monitor, OutgoingRange, Resolution, Sample
-from goniometer.exposure import DarkSignal, below_wanted, detector_of, take
+from goniometer.bench.safety import Forbidden
+from goniometer.campaigns.campaign import Campaign, Homogeneity, Integration, Monitor, OutgoingRange, Resolution, Sample
 from goniometer.geometry import Geometry
-from goniometer.plan import Measured, PlanSpec, monitor_direction, spot_points
-from goniometer.raw import read_raw
-from goniometer.safety import Forbidden
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
+from goniometer.plans.plan import Measured, PlanSpec, monitor_direction, spot_points
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.radiometry.raw import read_raw
+from goniometer.scans.exposure import DarkSignal, below_wanted, detector_of, take
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
 from tests.campaign_bench import NOMINAL_PANEL, bench, run
 
 CAMPAIGN = Campaign(
@@ -239,12 +239,12 @@ def test_a_bench_whose_arm_cannot_stand_before_the_source_measures_without_stray
         instrument.arm.forbidden = (Forbidden(sample=(20.0, 40.0), detector=(-4.0, 4.0)),)
 
     campaign = changed(stray_light=True, outgoing=OutgoingRange(start=-20.0, stop=85.0))
-    with caplog.at_level(logging.WARNING, logger="goniometer.auxiliary"):
+    with caplog.at_level(logging.WARNING, logger="goniometer.scans.auxiliary"):
         asyncio.run(run(store, campaign, change=change))
     assert [s.outcome for s in store.scans()] == ["completed", "completed"]
     assert {p.status for s in store.scans() for p in store.points(s.id)} == {"done"}
     assert "stray" not in {e.kind for s in store.scans() for e in store.exposures(s.id)}
-    told = [r.getMessage() for r in caplog.records if r.name == "goniometer.auxiliary"]
+    told = [r.getMessage() for r in caplog.records if r.name == "goniometer.scans.auxiliary"]
     assert len(told) == 2
     assert all("At theta_in = 30 deg stray light is not measured" in text and "forbidden" in text for text in told)
 
@@ -411,9 +411,9 @@ def test_a_spot_that_fails_costs_its_sample_no_dataset_and_is_in_it_when_it_was_
 
 
 def test_nobody_is_asked_to_mount_another_spot_that_could_be_compared_with_nothing(store, caplog, monkeypatch):
-    monkeypatch.setattr("goniometer.batches.spot_points", lambda measured, count: [])
+    monkeypatch.setattr("goniometer.scans.batches.spot_points", lambda measured, count: [])
     finished = []
-    with caplog.at_level(logging.WARNING, logger="goniometer.scheduler"):
+    with caplog.at_level(logging.WARNING, logger="goniometer.scans.scheduler"):
         asyncio.run(run(store, changed(homogeneity=Homogeneity()), finished=finished.append))
     spot = store.scans()[2]
     assert (spot.outcome, store.points(spot.id)) == ("failed", [])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from goniometer.angular import Derivatives, along_theta_out, aperture_excess, incidence_groups
+from goniometer.datasets.angular import Derivatives, along_theta_out, aperture_excess, incidence_groups
 
 WAVELENGTHS = 30
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from sqlalchemy import event
 
-from goniometer import look_up
-from goniometer.archive_file import archive_of
-from goniometer.archiving import archive_scan, finished_before, give_back, unarchive_scan
-from goniometer.backup import back_up
 from goniometer.errors import ArchiveMissing, InputError, RawDamaged
 from goniometer.geometry import Geometry
-from goniometer.integrity import check
-from goniometer.raw import read_raw
-from goniometer.store import Store
+from goniometer.radiometry.raw import read_raw
+from goniometer.storage import look_up
+from goniometer.storage.archive_file import archive_of
+from goniometer.storage.store import Store
+from goniometer.upkeep.archiving import archive_scan, finished_before, give_back, unarchive_scan
+from goniometer.upkeep.backup import back_up
+from goniometer.upkeep.integrity import check
 from tests.goniometer.test_store import CAMPAIGN, CONSTANTS, spectrum
 
 SPECTRA = 40

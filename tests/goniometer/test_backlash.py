@@ -12,13 +12,13 @@ from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
 from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
+from goniometer.bench.instrument import Instrument
+from goniometer.bench.route import approach, travel
+from goniometer.bench.safety import Forbidden, check_plan, check_standing, grown, raised, safe_path
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
-from goniometer.instrument import Instrument
-from goniometer.plan import PlanSpec
-from goniometer.route import approach, travel
-from goniometer.safety import Forbidden, check_plan, check_standing, grown, raised, safe_path
-from simulators.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
+from goniometer.plans.plan import PlanSpec
+from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
 
 DRIVERS = {
     "smc100": SMC100,

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import Spectrum
-from goniometer.backup import back_up, restore
-from goniometer.campaign import Campaign, Sample
-from goniometer.database import Database
+from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.errors import NotInStore, RawDamaged, StoreBusy, StoreError
-from goniometer.filesystem import served_by
-from goniometer.integrity import check
-from goniometer.store import Store
+from goniometer.storage.database import Database
+from goniometer.storage.filesystem import served_by
+from goniometer.storage.store import Store
+from goniometer.upkeep.backup import back_up, restore
+from goniometer.upkeep.integrity import check
 
 CAMPAIGN = Campaign(name="First light", samples=(Sample(name="Rough", material="sample-1"),))
 PAIR = [Spectrum(np.random.default_rng(i).integers(0, 200_001, 1044, dtype=np.uint32), 0.1, i, -10.0) for i in (1, 2)]
@@ -251,7 +251,7 @@ def test_a_file_that_another_machine_serves_is_told_from_a_local_one(
 def test_a_database_on_a_network_file_system_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("goniometer.database.served_by", lambda file: "nfs4")
+    monkeypatch.setattr("goniometer.storage.database.served_by", lambda file: "nfs4")
     with pytest.raises(StoreError, match=r"network file system \(nfs4\).*PostgreSQL"):
         Store.open(tmp_path / "bench.db")
     assert not (tmp_path / "bench.db").exists()

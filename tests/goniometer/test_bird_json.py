@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from goniometer.bird_json import bird_json, read_bird_json
-from goniometer.dataset import Dataset, Flag
+from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.errors import DataFileError
-from goniometer.measured_table import MeasuredTable
+from goniometer.files.bird_json import bird_json, read_bird_json
+from goniometer.files.measured_table import MeasuredTable
 from tests.bird_schemas import SCHEMAS
 from tests.drawn_dataset import drawn_dataset
 

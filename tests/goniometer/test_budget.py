@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from uncertainties import covariance_matrix, ufloat
 
-from goniometer.budget import budget, by_part, nearest_point, usual_direction
-from goniometer.dataset import Dataset
+from goniometer.datasets.budget import budget, by_part, nearest_point, usual_direction
+from goniometer.datasets.dataset import Dataset
 from goniometer.errors import GeometryError, InputError
 from goniometer.uncertainty import PARTS, ErrorSource, covariance_by_source, everywhere, variance
 from tests.drawn_dataset import drawn_dataset

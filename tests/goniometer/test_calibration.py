@@ -8,13 +8,13 @@ import pytest
 from scipy.integrate import quad
 from uncertainties import ufloat, umath
 
-from goniometer.calibration import BANDS, band_values, calibrate, check_certificate, response
-from goniometer.certificate import NOMINAL_SRS99, Override
-from goniometer.dataset import Flag
+from goniometer.certificates.certificate import NOMINAL_SRS99, Override
+from goniometer.datasets.dataset import Flag
 from goniometer.errors import CalibrationError, CertificateError
 from goniometer.geometry import Geometry
-from goniometer.raw import sample_visits
-from goniometer.response import CORRECTIONS, STANDARD, Settings
+from goniometer.radiometry.calibration import BANDS, band_values, calibrate, check_certificate, response
+from goniometer.radiometry.raw import sample_visits
+from goniometer.radiometry.response import CORRECTIONS, STANDARD, Settings
 from tests.goniometer.forward import (
     CONSTANTS,
     DATA,

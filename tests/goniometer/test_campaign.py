@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from goniometer.campaign import Campaign
-from goniometer.campaign_file import load_campaign
+from goniometer.campaigns.campaign import Campaign
+from goniometer.campaigns.campaign_file import load_campaign
 from goniometer.errors import CampaignError
 
 SMALLEST = "name: First light\nsamples:\n  - {name: Sample 1, material: sample-1}\n"

@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 
 from drivers.arrays import FloatArray
-from goniometer.certificate import NOMINAL_SRS99, BrdfTable, Certificate, Override, PanelCertificate, check_validity
-from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
+from goniometer.certificates.certificate import (
+    NOMINAL_SRS99,
+    BrdfTable,
+    Certificate,
+    Override,
+    PanelCertificate,
+    check_validity,
+)
+from goniometer.certificates.certificate_file import certificate_csv, parse_certificate, read_certificate
+from goniometer.certificates.reference import reference_relative_uncertainty
 from goniometer.errors import CertificateError
-from goniometer.reference import reference_relative_uncertainty
 
 HEADER = """\
 # serial_number: SRS-99-010-0001

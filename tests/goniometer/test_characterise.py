@@ -10,27 +10,34 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import chi2
 
-import simulators.laboratory
+import simulators.bench.laboratory
 from drivers.interfaces import Spectrum
-from goniometer.alignment import Sweep, evaluate_alignment
-from goniometer.certificate import NOMINAL_SRS99
-from goniometer.characterisation import FAR, evaluate_returns
-from goniometer.characterise import (
+from goniometer.certificates.certificate import NOMINAL_SRS99
+from goniometer.characterisation.alignment import Sweep, evaluate_alignment
+from goniometer.characterisation.characterise import (
     measure_alignment,
     measure_noise,
     measure_repeatability,
     measure_signature,
     measure_wavelengths,
 )
+from goniometer.characterisation.evaluation import FAR, evaluate_returns
+from goniometer.characterisation.lines import Line, evaluate_lines
+from goniometer.characterisation.meter import Reading, Series, binned, reading, series
+from goniometer.characterisation.peaks import centre_and_width, edge, propagated, u_edge
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import CharacterisationError
 from goniometer.geometry import Geometry
-from goniometer.lines import Line, evaluate_lines
-from goniometer.meter import Reading, Series, binned, reading, series
-from goniometer.peaks import centre_and_width, edge, propagated, u_edge
-from simulators.bench import FULL_SCALE, GAIN, NONLINEARITY_COEFFICIENTS, READ_NOISE, dark_rate, positioning_error
-from simulators.imperfections import Imperfections, drawn
-from simulators.materials import material, true_brdf
+from simulators.bench.imperfections import Imperfections, drawn
+from simulators.bench.optics import (
+    FULL_SCALE,
+    GAIN,
+    NONLINEARITY_COEFFICIENTS,
+    READ_NOISE,
+    dark_rate,
+    positioning_error,
+)
+from simulators.materials.materials import material, true_brdf
 from tests.campaign_bench import bench as campaign_bench
 from tests.optical_bench import Bench
 
@@ -276,7 +283,7 @@ def test_scatter_and_backlash_follow_from_a_signal_on_a_flank():
 
 @pytest.mark.parametrize("u_angle", [0.005, 0.02])
 def test_a_run_of_returns_tells_how_well_each_stage_repeats(u_angle, monkeypatch):
-    monkeypatch.setattr(simulators.laboratory, "positioning_error", partial(positioning_error, std_deg=u_angle))
+    monkeypatch.setattr(simulators.bench.laboratory, "positioning_error", partial(positioning_error, std_deg=u_angle))
     found = measured(partial(measure_repeatability, returns=20))
     # on the simulated bench the detector stage errs anew wherever the sample stage stands, which adds half of its error
     for stage, true in ((found.detector, u_angle), (found.sample, u_angle * np.sqrt(1 + 1 / 4))):

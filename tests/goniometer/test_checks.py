@@ -7,17 +7,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from analysis.directions import _from_vectors
-from analysis.distributions import lobe
+from analysis.reflectance.directions import _from_vectors
+from analysis.reflectance.distributions import lobe
 from drivers.arrays import FloatArray
-from goniometer.between import interpolate
-from goniometer.checks import checks, checks_of_imported, noise_flags
-from goniometer.dataset import Check, Dataset, Flag
-from goniometer.energy import energy
-from goniometer.fill import unmeasured
-from goniometer.reciprocity import reciprocity
+from goniometer.datasets.between import interpolate
+from goniometer.datasets.checks import checks, checks_of_imported, noise_flags
+from goniometer.datasets.dataset import Check, Dataset, Flag
+from goniometer.datasets.energy import energy
+from goniometer.datasets.fill import unmeasured
+from goniometer.datasets.reciprocity import reciprocity
 from goniometer.uncertainty import ErrorSource, everywhere
-from simulators.materials import SAMPLES
+from simulators.materials.materials import SAMPLES
 from tests.drawn_dataset import directions, drawn_dataset
 
 NAMES = ["reciprocity", "energy", "values", "drift", "saturation", "homogeneity", "noise floor", "footprint"]

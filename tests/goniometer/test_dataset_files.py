@@ -15,12 +15,12 @@ import pandas
 import pyarrow.parquet
 import pytest
 
-from goniometer.dataset import Check, Dataset, Flag
-from goniometer.dataset_document import LARGEST_ARRAYS
-from goniometer.dataset_file import reloaded
-from goniometer.dataset_hdf5 import dataset_to_hdf5
-from goniometer.dataset_table import dataset_to_csv, dataset_to_parquet
+from goniometer.datasets.dataset import Check, Dataset, Flag
 from goniometer.errors import DataFileError
+from goniometer.files.dataset_document import LARGEST_ARRAYS
+from goniometer.files.dataset_file import reloaded
+from goniometer.files.dataset_hdf5 import dataset_to_hdf5
+from goniometer.files.dataset_table import dataset_to_csv, dataset_to_parquet
 from goniometer.uncertainty import ErrorSource
 from tests.drawn_dataset import drawn_dataset
 

@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from goniometer.calibration import calibrate
-from goniometer.certificate import NOMINAL_SRS99
-from goniometer.drift import factor, lamp_between, lamp_drift
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.errors import CalibrationError
 from goniometer.geometry import Geometry
+from goniometer.radiometry.calibration import calibrate
+from goniometer.radiometry.drift import factor, lamp_between, lamp_drift
 from tests.goniometer.forward import WAVELENGTHS, Bench, Wrong, lobe, spectralon
 
 ANGLES = [Geometry(30.0, float(o)) for o in range(-20, 80, 4)]

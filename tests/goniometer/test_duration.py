@@ -6,8 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from goniometer.campaign import Campaign, Integration, Monitor, Sample
-from goniometer.duration import (
+from goniometer.bench.route import Motion, StageMotion, travel
+from goniometer.campaigns.campaign import Campaign, Integration, Monitor, Sample
+from goniometer.geometry import Geometry
+from goniometer.scans.duration import (
     DARKS,
     DEAD_TIME,
     STRAY_SCANS,
@@ -20,10 +22,8 @@ from goniometer.duration import (
     unknown_darks,
     visits,
 )
-from goniometer.exposure import PROBE_FRACTION
-from goniometer.geometry import Geometry
-from goniometer.records import Expected, ExposureTime, Point
-from goniometer.route import Motion, StageMotion, travel
+from goniometer.scans.exposure import PROBE_FRACTION
+from goniometer.storage.records import Expected, ExposureTime, Point
 
 MOTION = Motion(StageMotion(10.0, 20.0, settling=0.5), StageMotion(10.0, 20.0, settling=0.5))
 PATH = [Geometry(10.0, float(x)) for x in range(0, 60, 10)]

@@ -10,10 +10,11 @@ import pytest
 
 from drivers.clock import WallClock
 from drivers.interfaces import Spectrum
-from goniometer.campaign import Integration
+from goniometer.bench.instrument import Instrument
+from goniometer.campaigns.campaign import Integration
 from goniometer.constants import BenchData, Constants
 from goniometer.errors import CampaignError
-from goniometer.exposure import (
+from goniometer.scans.exposure import (
     BIN,
     DIM,
     MOST_SPECTRA,
@@ -26,7 +27,6 @@ from goniometer.exposure import (
     predict,
     take,
 )
-from goniometer.instrument import Instrument
 
 POLICY = Integration()
 SATURATION = 200_000

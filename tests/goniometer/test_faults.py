@@ -21,12 +21,12 @@ import pytest
 from sqlalchemy import Engine, event
 
 from drivers.interfaces import Spectrum
-from goniometer import database as database_module
-from goniometer.backup import back_up, restore
-from goniometer.campaign import Campaign, Resolution, Sample
-from goniometer.database import Database
+from goniometer.campaigns.campaign import Campaign, Resolution, Sample
 from goniometer.errors import GoniometerError, StoreBusy, StoreError, StoreFull
-from goniometer.store import Store
+from goniometer.storage import database as database_module
+from goniometer.storage.database import Database
+from goniometer.storage.store import Store
+from goniometer.upkeep.backup import back_up, restore
 from tests.campaign_bench import NOMINAL_PANEL, run
 
 ROOT = Path(__file__).parents[2]
@@ -161,7 +161,7 @@ def test_no_room_for_a_backup(file: Path, tmp_path: Path) -> None:
 READ_ONLY = """
 import os, sys
 from goniometer.errors import StoreError
-from goniometer.store import Store
+from goniometer.storage.store import Store
 if os.geteuid() == 0:  # rights do not hold root up
     os.setgid(65534)
     os.setuid(65534)
@@ -236,7 +236,7 @@ def test_a_lock_that_does_not_go_away(file: Path, monkeypatch: pytest.MonkeyPatc
 @fault("Two processes write at once")
 def test_two_writers(file: Path) -> None:
     script = (
-        "import sys; from goniometer.store import Store; from tests.goniometer.test_faults import write; "
+        "import sys; from goniometer.storage.store import Store; from tests.goniometer.test_faults import write; "
         "write(Store.open(sys.argv[1]), 60, int(sys.argv[2]))"
     )
     before = len(counts(file))
@@ -283,7 +283,7 @@ def test_a_clock_that_jumps_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             asked.append(tz)
             return datetime.now(tz) - timedelta(days=1 if len(asked) > 20 else 0)
 
-    monkeypatch.setattr("goniometer.records.datetime", Jumping)
+    monkeypatch.setattr("goniometer.storage.records.datetime", Jumping)
     assert measured("jumping.db") == undisturbed
     assert len(asked) > 40
 
@@ -291,7 +291,7 @@ def test_a_clock_that_jumps_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @fault("The program is killed at any instant")
 def test_a_killed_writer(file: Path) -> None:
     script = (
-        "import sys; from goniometer.store import Store; from tests.goniometer.test_faults import spectrum\n"
+        "import sys; from goniometer.storage.store import Store; from tests.goniometer.test_faults import spectrum\n"
         "store = Store.open(sys.argv[1])\n"
         "for seed in range(1000):\n"
         "    store.add_exposures(1, 'dark', [spectrum(seed)], 'one', 0.0)\n"

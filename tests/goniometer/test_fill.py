@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset, Flag
-from goniometer.fill import Filled, fill, unmeasured
+from goniometer.datasets.dataset import Dataset, Flag
+from goniometer.datasets.fill import Filled, fill, unmeasured
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.plan import PlanSpec, next_points
+from goniometer.plans.plan import PlanSpec, next_points
 from goniometer.uncertainty import ErrorSource, everywhere
-from simulators.materials import SAMPLES, true_brdf
+from simulators.materials.materials import SAMPLES, true_brdf
 from tests.benchmarks.sampling import measure
 from tests.benchmarks.sampling_materials import MATERIALS
 from tests.benchmarks.sector import WAVELENGTHS, dataset_of

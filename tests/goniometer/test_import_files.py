@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniometer import measured_table
-from goniometer.certificate import NOMINAL_SRS99
-from goniometer.delimited import Meaning, read_delimited
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.errors import DataFileError, InputError
-from goniometer.imported import Stated, imported_dataset
-from goniometer.measured_table import MeasuredTable, read_text, tidied
-from goniometer.published_json import read_published_json
-from goniometer.raw_text import looks_like_raw_text, ratio_to_reference, read_raw_text
-from goniometer.scatter import scatter
+from goniometer.files import measured_table
+from goniometer.files.delimited import Meaning, read_delimited
+from goniometer.files.imported import Stated, imported_dataset
+from goniometer.files.measured_table import MeasuredTable, read_text, tidied
+from goniometer.files.published_json import read_published_json
+from goniometer.files.raw_text import looks_like_raw_text, ratio_to_reference, read_raw_text
+from goniometer.files.scatter import scatter
 
 ALL = (0.0, np.inf)
 NM = [400.0, 500.0, 700.0]

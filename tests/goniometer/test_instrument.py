@@ -15,13 +15,13 @@ from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
 from drivers.qepro import COOLING_POLL, QEPro, QEProLight
 from drivers.smc100 import SMC100
+from goniometer.bench.instrument import Instrument
+from goniometer.bench.safety import Forbidden
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
-from goniometer.instrument import Instrument
-from goniometer.safety import Forbidden
-from simulators.clock import SimulatedClock
-from simulators.faults import Fault, FaultScript, Kind
-from simulators.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
+from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import Fault, FaultScript, Kind
 
 TIMEOUT = 0.2
 """Real seconds that a driver waits for a reply."""
@@ -52,7 +52,7 @@ class StrollingClock(SimulatedClock):
 
 @pytest.fixture
 def laboratory(monkeypatch, request):
-    monkeypatch.setattr("simulators.laboratory.SimulatedClock", StrollingClock)
+    monkeypatch.setattr("simulators.bench.laboratory.SimulatedClock", StrollingClock)
     family = getattr(request, "param", "smc100")
     with simulated_laboratory(1, stages=(family, family)) as laboratory:
         laboratory.bench.mount("sample-1")

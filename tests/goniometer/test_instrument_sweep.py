@@ -5,9 +5,9 @@ import asyncio
 import pytest
 
 from drivers.errors import DeviceFault, DriverError, ProtocolError
+from goniometer.bench.safety import Forbidden
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
-from goniometer.safety import Forbidden
 from tests.goniometer.test_instrument import axes, each_family, laboratory, on_bench, until
 
 __all__ = ["laboratory"]

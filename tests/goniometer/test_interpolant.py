@@ -9,15 +9,14 @@ from scipy.optimize import approx_fprime
 from scipy.special import gamma, kv
 
 from analysis.colour import xyz_weights
-from analysis.directions import in_plane
-from analysis.fresnel import load_conductor
-from analysis.models import cook_torrance
-from goniometer.between import interpolate
-from goniometer.colour_error import band_colours, colour_slopes
-from goniometer.dataset import Dataset, Flag
+from analysis.reflectance.directions import in_plane
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cook_torrance
+from goniometer.datasets.between import interpolate
+from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.errors import CalibrationError
-from goniometer.interpolant import Shape, condition, latent, learn, predict, predict_values
-from goniometer.kernel import (
+from goniometer.interpolation.interpolant import Shape, condition, latent, learn, predict, predict_values
+from goniometer.interpolation.kernel import (
     Scales,
     _free,
     _negative_log_likelihood,
@@ -28,7 +27,8 @@ from goniometer.kernel import (
     matern,
     variance,
 )
-from goniometer.lobe import Bump, Lobe, _cosine_brdf, _slopes, fit_lobe
+from goniometer.interpolation.lobe import Bump, Lobe, _cosine_brdf, _slopes, fit_lobe
+from goniometer.plans.colour_error import band_colours, colour_slopes
 from goniometer.uncertainty import ErrorSource
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])

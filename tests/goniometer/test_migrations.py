@@ -14,14 +14,14 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Boolean, Engine, create_engine, event, text
 from sqlalchemy.exc import IntegrityError
 
-from goniometer import migrations, tables
-from goniometer.campaign import Sample
+from goniometer.campaigns.campaign import Sample
 from goniometer.constants import BenchData
 from goniometer.errors import StoreError, StoreFull, StoreOutdated
-from goniometer.migrations import baseline
-from goniometer.only_added import protect
-from goniometer.store import Store
-from goniometer.upgrade import upgrade
+from goniometer.storage import migrations, tables
+from goniometer.storage.migrations import baseline
+from goniometer.storage.only_added import protect
+from goniometer.storage.store import Store
+from goniometer.upkeep.upgrade import upgrade
 from tests.databases import fresh_database, outside
 from tests.goniometer.old_databases import COMMON, COUNTS, DATASET, SCHEMAS, TAKEN, build, version_of
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniometer.calibration import calibrate
-from goniometer.certificate import NOMINAL_SRS99
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.geometry import Geometry
+from goniometer.radiometry.calibration import calibrate
 from goniometer.uncertainty import covariance_by_source
 from tests.goniometer.forward import DATA, Bench, Wrong, lobe, spectralon
 

@@ -10,9 +10,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from goniometer.errors import DataFileError, InputError
-from goniometer.photo_files import read_frame
-from goniometer.photo_series import Series, Shot, load_series, series_text
-from goniometer.photos import read_series
+from goniometer.photographs.files import read_frame
+from goniometer.photographs.photos import read_series
+from goniometer.photographs.series import Series, Shot, load_series, series_text
 
 SHOTS = 'frames = [{file = "a.tif", angle = -20, exposure = 0.5}, {file = "b.tif", angle = 20, exposure = "1/4 s"}]'
 SERIES = f'sample = "Sample 1"\nencoding = "linear"\nwhite = {{file = "w.tif", angle = 0, exposure = 2}}\n{SHOTS}\n'

@@ -7,14 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from analysis.directions import round_aperture
-from analysis.fresnel import load_conductor
-from analysis.models import measured_cook_torrance
-from goniometer.campaign import Campaign, Sample
+from analysis.reflectance.directions import round_aperture
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import measured_cook_torrance
+from goniometer.bench.route import Motion, StageMotion, travel
+from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.geometry import Geometry
-from goniometer.interpolant import predict_values
-from goniometer.learning import learnt_from
-from goniometer.plan import (
+from goniometer.interpolation.interpolant import predict_values
+from goniometer.plans.learning import learnt_from
+from goniometer.plans.plan import (
     Measured,
     PlanSpec,
     blocked_ranges,
@@ -28,7 +29,6 @@ from goniometer.plan import (
     segments,
     uniform_grid_size,
 )
-from goniometer.route import Motion, StageMotion, travel
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])
 SPEC = PlanSpec((0.0, 30.0, 60.0, 80.0), tolerance=0.002, colour_tolerance=None)

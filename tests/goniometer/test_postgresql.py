@@ -7,9 +7,9 @@ from sqlalchemy import text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import IntegrityError
 
-from goniometer.archiving import archive_scan, unarchive_scan
 from goniometer.errors import StoreError, StoreFull
-from goniometer.store import Store
+from goniometer.storage.store import Store
+from goniometer.upkeep.archiving import archive_scan, unarchive_scan
 from tests.databases import fresh_database, outside
 from tests.goniometer.test_store import CAMPAIGN, CONSTANTS, spectrum
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
-from goniometer.between import interpolate
-from goniometer.calibration import calibrate_scan, certificate_of
-from goniometer.campaign import Campaign, OutgoingRange, Prescan, Resolution, Sample
+from goniometer.bench.route import Motion, StageMotion
+from goniometer.campaigns.campaign import Campaign, OutgoingRange, Prescan, Resolution, Sample
+from goniometer.datasets.between import interpolate
 from goniometer.errors import CampaignError
 from goniometer.geometry import Geometry
-from goniometer.plan import plan_spec
-from goniometer.prescan import check_prescan, cost, swept, way
-from goniometer.raw import read_raw
-from goniometer.response import response
-from goniometer.route import Motion, StageMotion
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.materials import EMBOSSED, true_brdf
+from goniometer.plans.plan import plan_spec
+from goniometer.radiometry.calibration import calibrate_scan, certificate_of
+from goniometer.radiometry.raw import read_raw
+from goniometer.radiometry.response import response
+from goniometer.scans.prescan import check_prescan, cost, swept, way
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.materials.materials import EMBOSSED, true_brdf
 from tests import campaign_bench
 from tests.campaign_bench import NOMINAL_PANEL, bench
 

@@ -5,12 +5,12 @@ import asyncio
 import numpy as np
 import pytest
 
-from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Monitor, OutgoingRange, Resolution, Sample
+from goniometer.campaigns.campaign import Campaign, Monitor, OutgoingRange, Resolution, Sample
 from goniometer.errors import CalibrationError
-from goniometer.provisional import newest_brdf
-from goniometer.store import Store
-from simulators.imperfections import Imperfections
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.radiometry.provisional import newest_brdf
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import Imperfections
 from tests.campaign_bench import NOMINAL_PANEL, run
 
 CAMPAIGN = Campaign(

@@ -10,14 +10,14 @@ from drivers.errors import DeviceTimeout, DriverError
 from drivers.oriental_az import OrientalAZ
 from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
-from goniometer.campaign import Campaign, Resolution, Sample
+from goniometer.bench.instrument import RECOVERY_PAUSES, Instrument
+from goniometer.campaigns.campaign import Campaign, Resolution, Sample
 from goniometer.errors import RunAborted
-from goniometer.instrument import RECOVERY_PAUSES, Instrument
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.laboratory import simulated_laboratory
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.bench.laboratory import simulated_laboratory
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
 
 CAMPAIGN = Campaign(
     name="Night",
@@ -41,7 +41,7 @@ class PatientClock(SimulatedClock):
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
-    monkeypatch.setattr("simulators.laboratory.SimulatedClock", PatientClock)
+    monkeypatch.setattr("simulators.bench.laboratory.SimulatedClock", PatientClock)
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_a_device_that_fails_in_the_night_and_comes_back_costs_attempts_and_no_p
         run(store, once_at(4, BLOWS[what]))
     check_whole(store)
     if max(attempts(store)) > 1:  # an absolute encoder forgets nothing when it is restarted
-        told = [r.getMessage() for r in caplog.records if r.name == "goniometer.scheduler"]
+        told = [r.getMessage() for r in caplog.records if r.name == "goniometer.scans.scheduler"]
         assert any("theta_in = 30, theta_out = " in text and "attempt 1 of 3: " in text for text in told)
     else:
         assert what == "detector stage restarted"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drivers.arrays import FloatArray
+from goniometer.certificates.reference import brf_ratio, reference_relative_uncertainty, spectralon_brf_ratio
 from goniometer.errors import GeometryError
-from goniometer.reference import brf_ratio, reference_relative_uncertainty, spectralon_brf_ratio
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
+from goniometer.bench.route import Motion, StageMotion, ordered, travel
 from goniometer.geometry import Geometry
-from goniometer.route import Motion, StageMotion, ordered, travel
 
 BENCH = Motion(StageMotion(20.0, 40.0, 0.0, 0.2), StageMotion(30.0, 60.0, 0.0, 0.2))
 LOOSE = Motion(StageMotion(20.0, 40.0, 1.0, 0.2), StageMotion(30.0, 60.0, 1.0, 0.2))

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniometer.campaign_file import load_campaign
+from goniometer.campaigns.campaign_file import load_campaign
+from goniometer.campaigns.scene_weights import STEP_D, STEP_H, SceneWeights, weights_on_nodes
 from goniometer.errors import CampaignError
-from goniometer.plan import Measured, next_points, reached
-from goniometer.plan_spec import coarse, incident, plan_spec, reference_points
-from goniometer.scene_weights import STEP_D, STEP_H, SceneWeights, weights_on_nodes
+from goniometer.plans.plan import Measured, next_points, reached
+from goniometer.plans.plan_spec import coarse, incident, plan_spec, reference_points
 from tests.benchmarks.sampling import measure
 from tests.benchmarks.sampling_materials import MATERIALS
 

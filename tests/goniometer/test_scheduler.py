@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceDisconnected, DeviceTimeout
-from goniometer.calibration import calibrate_scan
-from goniometer.campaign import Campaign, Integration, Resolution, Sample
+from goniometer.campaigns.campaign import Campaign, Integration, Resolution, Sample
 from goniometer.constants import BenchData
 from goniometer.errors import CampaignError, GeometryError, NotInStore, ReferenceIncomplete, RunAborted, StoreError
-from goniometer.raw import read_raw
-from goniometer.records import Expected
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.materials import material, true_brdf
+from goniometer.radiometry.calibration import calibrate_scan
+from goniometer.radiometry.raw import read_raw
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.records import Expected
+from goniometer.storage.store import Store
+from simulators.materials.materials import material, true_brdf
 from tests import campaign_bench
 from tests.campaign_bench import NOMINAL_PANEL, bench
 

@@ -17,15 +17,15 @@ from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import IntegrityError
 
 from drivers.interfaces import Spectrum
-from goniometer.calibration import certificate_of
-from goniometer.campaign import Campaign, Homogeneity, Override, Reference, Sample
-from goniometer.certificate import NOMINAL_SRS99
+from goniometer.campaigns.campaign import Campaign, Homogeneity, Override, Reference, Sample
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from goniometer.constants import BenchData, Constants
-from goniometer.dataset import Check, Dataset, Flag
+from goniometer.datasets.dataset import Check, Dataset, Flag
 from goniometer.errors import CampaignError, NotInStore, RawDamaged, StoreBusy, StoreError, StoreFull
 from goniometer.geometry import Geometry
-from goniometer.raw import read_raw
-from goniometer.store import Store
+from goniometer.radiometry.calibration import certificate_of
+from goniometer.radiometry.raw import read_raw
+from goniometer.storage.store import Store
 from goniometer.uncertainty import ErrorSource, everywhere
 from tests.databases import fresh_database, outside
 
@@ -385,7 +385,7 @@ def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(tmp_path):
 def test_a_killed_run_leaves_no_lock_behind(store, database):
     script = f"""
         import time
-        from goniometer.store import Store
+        from goniometer.storage.store import Store
         with Store.open({str(database)!r}).exclusive():
             print("locked", flush=True)
             time.sleep(60)
@@ -418,8 +418,8 @@ def test_an_empty_or_missing_file_becomes_a_database(tmp_path, content):
 def test_a_start_that_is_killed_halfway_does_not_spoil_the_database_for_ever(tmp_path):
     script = f"""
         import os, signal
-        from goniometer import tables
-        from goniometer.store import Store
+        from goniometer.storage import tables
+        from goniometer.storage.store import Store
         tables.insert = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # comes after the tables, before the triggers
         Store.open({str(tmp_path / "bench.db")!r})
     """
@@ -456,7 +456,7 @@ def test_two_first_starts_at_once_make_one_database(kind, tmp_path, request):
 def start_at_once(database):
     script = f"""
         import sys
-        from goniometer.store import Store
+        from goniometer.storage.store import Store
         print(flush=True)
         sys.stdin.readline()
         Store.open({str(database)!r}).close()
@@ -552,7 +552,7 @@ def test_a_lock_that_finds_no_room_is_a_full_disk(tmp_path, monkeypatch):
     def no_room(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("goniometer.database.FileLock.acquire", no_room)
+    monkeypatch.setattr("goniometer.storage.database.FileLock.acquire", no_room)
     with pytest.raises(StoreFull), store.exclusive():
         pass
     store.close()

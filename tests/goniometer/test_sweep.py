@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from goniometer.geometry import Geometry
-from goniometer.interpolant import predict_values
-from goniometer.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
-from goniometer.sweep import Swept, averaged, searched, summits, unexplained
+from goniometer.interpolation.interpolant import predict_values
+from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
+from goniometer.plans.sweep import Swept, averaged, searched, summits, unexplained
 
 SPEC = PlanSpec((30.0,), tolerance=0.005, colour_tolerance=None)
 NARROW = 1.5

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import strategies as st
 
 from api.settings import load_instrument
-from goniometer.campaign_file import load_campaign
-from goniometer.certificate import Certificate
-from goniometer.certificate_file import certificate_csv, parse_certificate, read_certificate
+from goniometer.campaigns.campaign_file import load_campaign
+from goniometer.certificates.certificate import Certificate
+from goniometer.certificates.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.errors import CampaignError, CertificateError, ConfigurationError, GoniometerError
 from tests.bombarded import bombarded
 

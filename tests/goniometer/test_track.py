@@ -5,7 +5,7 @@ import pytest
 
 from drivers.errors import DeviceFault, ProtocolError
 from drivers.interfaces import Spectrum
-from goniometer.track import passages
+from goniometer.bench.track import passages
 
 
 def spectra(moments, seconds=0.5):

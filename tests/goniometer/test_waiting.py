@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from drivers.clock import WallClock
-from goniometer.campaign import Campaign, Integration, Monitor, Reference, Resolution, Sample
-from goniometer.conditions import Conditions
-from goniometer.drift import lamp_drift
+from goniometer.campaigns.campaign import Campaign, Integration, Monitor, Reference, Resolution, Sample
+from goniometer.campaigns.conditions import Conditions
 from goniometer.errors import ConditionsUnmet, RunAborted
-from goniometer.raw import read_raw
-from goniometer.scheduler import run_campaign
-from goniometer.store import Store
-from simulators.imperfections import DRIFT_PERIOD, IDEAL, WARM_UP_TIME, Imperfections
+from goniometer.radiometry.drift import lamp_drift
+from goniometer.radiometry.raw import read_raw
+from goniometer.scans.scheduler import run_campaign
+from goniometer.storage.store import Store
+from simulators.bench.imperfections import DRIFT_PERIOD, IDEAL, WARM_UP_TIME, Imperfections
 from tests.campaign_bench import NOMINAL_PANEL, bench
 
 CAMPAIGN = Campaign(

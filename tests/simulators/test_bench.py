@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from goniometer.certificate import NOMINAL_SRS99
-from simulators.bench import (
+from goniometer.certificates.certificate import NOMINAL_SRS99
+from simulators.bench.optics import (
     FULL_SCALE,
     GAIN,
     OFFSET,
@@ -15,10 +15,10 @@ from simulators.bench import (
     OpticalBench,
     positioning_error,
 )
-from simulators.clock import SimulatedClock
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
 from simulators.errors import UnknownMaterial
-from simulators.materials import SAMPLES, true_brdf
-from simulators.motion import Axis
+from simulators.materials.materials import SAMPLES, true_brdf
 from tests.optical_bench import Bench, Standing
 
 
@@ -141,8 +141,8 @@ def test_a_resumed_measurement_reads_the_same_counts_whatever_was_read_before() 
 
 def test_another_process_draws_the_same_noise() -> None:
     script = (
-        "from simulators.bench import OpticalBench, positioning_error as p;"
-        "from simulators.clock import SimulatedClock;"
+        "from simulators.bench.optics import OpticalBench, positioning_error as p;"
+        "from simulators.devices.clock import SimulatedClock;"
         "a = type('A', (), {'true_positions': lambda self, moments: 7.0 + 0 * moments})();"
         "b = OpticalBench(SimulatedClock(), seed=3, sample_axis=a, detector_axis=a);"
         "counts = b.read_out(0.1, shutter_open=False, lamp_on=True, sensor_temperature=-10.0);"

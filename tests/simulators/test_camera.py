@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from goniometer.errors import InputError
-from goniometer.photos import read_series
-from simulators.camera import Scene, Sensor, lighting_for, photograph, response, scene
-from simulators.heights import HeightField
-from simulators.photo_session import PANEL_REFLECTANCE, convergence, take_series
-from simulators.speckle import Lens
-from simulators.synthesis import gaussian, gaussian_correlation
+from goniometer.photographs.photos import read_series
+from simulators.photographs.camera import Scene, Sensor, lighting_for, photograph, response, scene
+from simulators.photographs.session import PANEL_REFLECTANCE, convergence, take_series
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import gaussian, gaussian_correlation
+from simulators.waves.speckle import Lens
 
 LENS = Lens(f_number=8, magnification=1, theta_out=30)
 ANGLES = (10.0, 20.0)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from drivers.arrays import FloatArray
-from simulators.diffraction import seen_through
-from simulators.heights import HeightField
-from simulators.sampling import refined
-from simulators.synthesis import sandblasted, with_micro_roughness
-from simulators.waves import averaged, averaged_brdf
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import sandblasted, with_micro_roughness
+from simulators.waves.diffraction import seen_through
+from simulators.waves.sampling import refined
+from simulators.waves.waves import averaged, averaged_brdf
 
 NM = np.linspace(450.0, 750.0, 7)
 THETA_M = np.concatenate([np.arange(-40.0, -29.0), np.arange(-5.0, 6.0)])

@@ -5,10 +5,10 @@ import pytest
 from scipy.special import jv
 
 from goniometer.errors import InputError
-from simulators.diffraction import Coherence, diffraction_integral, direct_integral, seen_through, window
 from simulators.errors import UnfitTopography
-from simulators.heights import HeightField
-from simulators.sampling import refined
+from simulators.topographies.heights import HeightField
+from simulators.waves.diffraction import Coherence, diffraction_integral, direct_integral, seen_through, window
+from simulators.waves.sampling import refined
 
 
 def test_the_fast_path_is_the_sum_that_defines_it() -> None:
@@ -27,7 +27,7 @@ def test_a_large_map_that_is_transformed_in_parts_gives_the_same(monkeypatch: py
     field = HeightField(rng.normal(size=(40, 30)), 0.5, periodic=True)
     amplitude, kx, kz = window(field, 4.0), rng.uniform(-9, 9, 50), rng.uniform(3, 20, 50)
     whole = diffraction_integral(field, amplitude, kx, kz)
-    monkeypatch.setattr("simulators.diffraction._AT_ONCE", 200)
+    monkeypatch.setattr("simulators.waves.diffraction._AT_ONCE", 200)
     assert diffraction_integral(field, amplitude, kx, kz) == pytest.approx(whole, abs=1e-7)
 
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simulators.devices.faults import LASTING, Fault, FaultScript, Kind, Line, Piece, duration, reaches_device, strike
 from simulators.errors import FaultScriptError
-from simulators.faults import LASTING, Fault, FaultScript, Kind, Line, Piece, duration, reaches_device, strike
 
 DEVICE_KINDS = {Kind.REFUSE, Kind.RESTART, Kind.JAM, Kind.DRIFT, Kind.SLOW}
 replies = st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=12)

@@ -6,8 +6,9 @@ from scipy.stats import linregress
 
 from goniometer.errors import InputError
 from simulators.choices import Spread
-from simulators.diffraction import Coherence
-from simulators.gratings import (
+from simulators.topographies.heights import HeightField
+from simulators.waves.diffraction import Coherence
+from simulators.waves.gratings import (
     binned_spectra,
     grating_brdf,
     order_angles,
@@ -16,8 +17,7 @@ from simulators.gratings import (
     spread_periods,
     straight_lines,
 )
-from simulators.heights import HeightField
-from simulators.waves import averaged, averaged_brdf
+from simulators.waves.waves import averaged, averaged_brdf
 
 
 def test_longer_waves_are_bent_further_and_some_orders_do_not_exist() -> None:

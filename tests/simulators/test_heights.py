@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulators.errors import UnfitTopography
-from simulators.heights import HeightField, autocorrelation, filled, levelled, roughness, slopes
+from simulators.topographies.heights import HeightField, autocorrelation, filled, levelled, roughness, slopes
 
 PITCH = 0.5
 Y, X = np.indices((192, 256)) * PITCH

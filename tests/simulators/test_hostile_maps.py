@@ -11,11 +11,11 @@ import pytest
 import tifffile
 
 from goniometer.errors import DataFileError
-from goniometer.photo_files import read_frame
-from goniometer.photo_series import Series
+from goniometer.photographs.files import read_frame
+from goniometer.photographs.series import Series
 from simulators.errors import UnfitTable
-from simulators.tabulated_file import read_tabulated
-from simulators.topography_file import read_topography
+from simulators.materials.tabulated_file import read_tabulated
+from simulators.topographies.topography_file import read_topography
 from tests.little_memory import little_memory
 
 

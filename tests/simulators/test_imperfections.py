@@ -9,10 +9,10 @@ import pytest
 
 from drivers.qepro import QEPro
 from goniometer.constants import BenchData
-from simulators.bench import FULL_SCALE, RESOLUTION, share_on_disc
-from simulators.imperfections import DRAWN_STRAY_LIGHT, STRAY_LIGHT, Imperfections, drawn
-from simulators.laboratory import MOUNT_TIME, simulated_laboratory
-from simulators.materials import MERCURY_ARGON, PANEL_CERTIFICATE, SAMPLES, true_brdf
+from simulators.bench.imperfections import DRAWN_STRAY_LIGHT, STRAY_LIGHT, Imperfections, drawn
+from simulators.bench.laboratory import MOUNT_TIME, simulated_laboratory
+from simulators.bench.optics import FULL_SCALE, RESOLUTION, share_on_disc
+from simulators.materials.materials import MERCURY_ARGON, PANEL_CERTIFICATE, SAMPLES, true_brdf
 from tests.optical_bench import Bench
 
 ISOLATED = (253.6517, 435.8328, 546.0735, 696.5431, 763.5106, 852.1442, 912.2967)

@@ -7,9 +7,9 @@ import pytest
 import serial
 import thorlabs_apt_protocol as thorlabs
 
-from simulators.clock import SimulatedClock
-from simulators.k10cr1 import SimulatedK10CR1
-from simulators.motion import Axis
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.k10cr1 import SimulatedK10CR1
+from simulators.devices.motion import Axis
 
 MOUNT, PC, CHANNEL = 0x50, 0x01, 1
 COUNTS_PER_DEGREE = 136533.33333

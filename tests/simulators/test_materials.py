@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.directions import in_plane, round_aperture, through_aperture
 from analysis.errors import OutOfRange
-from analysis.fresnel import load_conductor
-from analysis.models import cook_torrance
-from goniometer.certificate import NOMINAL_SRS99
+from analysis.reflectance.directions import in_plane, round_aperture, through_aperture
+from analysis.reflectance.fresnel import load_conductor
+from analysis.reflectance.models import cook_torrance
+from goniometer.certificates.certificate import NOMINAL_SRS99
 from simulators.errors import UnknownMaterial
-from simulators.materials import (
+from simulators.materials.materials import (
     DETECTOR_APERTURE,
     EMBOSSED,
     MERCURY_ARGON,

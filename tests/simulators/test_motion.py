@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
 
 
 def make_axis(clock: SimulatedClock, **changes: object) -> Axis:

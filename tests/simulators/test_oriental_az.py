@@ -7,10 +7,10 @@ from urllib.parse import urlsplit
 import pytest
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
+from simulators.devices.motion import Axis
+from simulators.devices.oriental_az import SimulatedOrientalAZ
 
 Client = ModbusTcpClient | ModbusSerialClient
 

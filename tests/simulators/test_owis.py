@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import pytest
 import serial
 
-from simulators.clock import SimulatedClock
-from simulators.motion import Axis
-from simulators.owis import SimulatedOwisPS
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.motion import Axis
+from simulators.devices.owis import SimulatedOwisPS
 
 
 class Terminal:

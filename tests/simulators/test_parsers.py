@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 
 from drivers import apt
 from drivers.obp import ACK_REQUESTED, Message, decode, encode
-from simulators.clock import SimulatedClock
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript, Kind
+from simulators.devices.k10cr1 import SimulatedK10CR1
+from simulators.devices.motion import Axis
+from simulators.devices.oriental_az import SimulatedOrientalAZ
+from simulators.devices.owis import SimulatedOwisPS
+from simulators.devices.qepro import SimulatedQEPro
+from simulators.devices.smc100 import SimulatedSMC100
+from simulators.devices.wire import ByteServer
 from simulators.errors import FaultScriptError
-from simulators.faults import FaultScript, Kind
-from simulators.k10cr1 import SimulatedK10CR1
-from simulators.motion import Axis
-from simulators.oriental_az import SimulatedOrientalAZ
-from simulators.owis import SimulatedOwisPS
-from simulators.qepro import SimulatedQEPro
-from simulators.smc100 import SimulatedSMC100
-from simulators.wire import ByteServer
 from tests.bombarded import bombarded
 
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.special import gammaln, jv
 
 from goniometer.errors import InputError
-from simulators.diffraction import direct_integral, window
 from simulators.errors import UnfitTopography
-from simulators.heights import HeightField
-from simulators.power_spectrum import power_spectrum
+from simulators.topographies.heights import HeightField
+from simulators.waves.diffraction import direct_integral, window
+from simulators.waves.power_spectrum import power_spectrum
 
 FloatArray = np.ndarray
 

@@ -13,8 +13,8 @@ import usb.core
 from drivers.arrays import CountArray
 from drivers.obp import ACK_REQUESTED, NACK, Message, decode, encode
 from drivers.qepro import QEPro
-from simulators.clock import SimulatedClock
-from simulators.qepro import SimulatedQEPro
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.qepro import SimulatedQEPro
 
 
 class Ramp:

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.fresnel import fresnel_conductor, load_conductor
-from analysis.local_fit import local_fit
+from analysis.fits.local_fit import local_fit
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from drivers.arrays import FloatArray
 from simulators.computed import Computed, computed_dataset
 from simulators.errors import UnfitRays, UnfitTopography
-from simulators.heights import HeightField
-from simulators.ray_decomposition import coarser, convergence, halves, jackknife, shares
-from simulators.ray_scan import WINDOWS, Goniometer, RayScan, ray_scan, window
-from simulators.rays import terrain, virtual_scan
-from simulators.synthesis import gaussian, gaussian_correlation
+from simulators.rays.decomposition import coarser, convergence, halves, jackknife, shares
+from simulators.rays.rays import terrain, virtual_scan
+from simulators.rays.scan import WINDOWS, Goniometer, RayScan, ray_scan, window
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import gaussian, gaussian_correlation
 
 NM = np.arange(400.0, 951.0, 50.0)
 INDEX = load_conductor().index(NM)

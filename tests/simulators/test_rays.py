@@ -5,13 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from drivers.arrays import FloatArray
 from simulators.errors import UnfitRays, UnfitTopography
-from simulators.heights import HeightField
-from simulators.rays import VirtualScan, beam, tabulated, terrain, trace, virtual_scan, weights
-from simulators.surfaces import Reflectance
-from simulators.synthesis import gaussian, gaussian_correlation
+from simulators.materials.surfaces import Reflectance
+from simulators.rays.rays import VirtualScan, beam, tabulated, terrain, trace, virtual_scan, weights
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import gaussian, gaussian_correlation
 
 NM = np.array([400.0, 600.0, 800.0])
 INDEX = load_conductor().index(NM)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from simulators.heights import HeightField
-from simulators.sampling import refined, sampling
+from simulators.topographies.heights import HeightField
+from simulators.waves.sampling import refined, sampling
 
 
 def sine(count: int, pitch_um: float, period_um: float, height_um: float, rows: int = 20) -> HeightField:

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import pytest
 import serial
 
-from simulators.clock import SimulatedClock
-from simulators.faults import FaultScript
-from simulators.motion import Axis
-from simulators.smc100 import SimulatedSMC100
+from simulators.devices.clock import SimulatedClock
+from simulators.devices.faults import FaultScript
+from simulators.devices.motion import Axis
+from simulators.devices.smc100 import SimulatedSMC100
 
 
 class Terminal:

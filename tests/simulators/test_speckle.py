@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from analysis.directions import Aperture, round_aperture
+from analysis.reflectance.directions import Aperture, round_aperture
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
-from simulators.camera import window_of
 from simulators.choices import Kernel
 from simulators.errors import UnfitTopography
-from simulators.heights import HeightField
-from simulators.speckle import Lens, Lighting, image_points, phase_screen, pupil, squared_field
-from simulators.synthesis import gaussian, gaussian_correlation
-from simulators.waves import averaged, averaged_brdf, obliquity
+from simulators.photographs.camera import window_of
+from simulators.topographies.heights import HeightField
+from simulators.topographies.synthesis import gaussian, gaussian_correlation
+from simulators.waves.speckle import Lens, Lighting, image_points, phase_screen, pupil, squared_field
+from simulators.waves.waves import averaged, averaged_brdf, obliquity
 
 POINT = Aperture(np.zeros(1), np.zeros(1), np.ones(1))
 LENS = Lens(f_number=11, magnification=1, theta_out=30)
@@ -112,7 +112,7 @@ def test_a_lamp_that_is_small_against_the_lens_changes_nothing(rough: HeightFiel
     assert contrast(blurred) == pytest.approx(contrast(sharp), rel=0.01)
 
 
-@pytest.mark.filterwarnings("ignore::simulators.sampling.CoarseSampling")
+@pytest.mark.filterwarnings("ignore::simulators.waves.sampling.CoarseSampling")
 def test_the_mean_brightness_is_the_averaged_brdf(rough: HeightField) -> None:
     angles, wavelengths = np.array([0.0, 20.0, 45.0]), np.array([450.0, 550.0, 650.0])
     lens = Lens(f_number=5.6, magnification=1, theta_out=30)

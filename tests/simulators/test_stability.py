@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from goniometer.errors import DataFileError, InputError
+from simulators.bench.measurement import Setup, measure
 from simulators.choices import METHODS
-from simulators.ensemble import cells, ensemble, jobs
-from simulators.materials import SAMPLES, true_brdf
-from simulators.measurement import Setup, measure
-from simulators.regimes import REGIMES, case
-from simulators.specimens import Shift, Specimen, specimen_brdf
-from simulators.stability import Job, run
+from simulators.materials.materials import SAMPLES, true_brdf
+from simulators.materials.specimens import Shift, Specimen, specimen_brdf
+from simulators.stability.ensemble import cells, ensemble, jobs
+from simulators.stability.regimes import REGIMES, case
+from simulators.stability.stability import Job, run
 
 QUICK = ("local", "global", "global-two-component", "cook-torrance", "cook-torrance-shift", "two-component")
 

@@ -4,11 +4,11 @@ import colour
 import numpy as np
 import pytest
 
-from analysis.directions import Directions, round_aperture
-from analysis.fresnel import fresnel_conductor, load_conductor
+from analysis.reflectance.directions import Directions, round_aperture
+from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from simulators.errors import UnknownMaterial
-from simulators.materials import material, true_brdf
-from simulators.surfaces import SANDBLASTED, SANDED, Surface, multiple_lobe, over_aperture, single_lobe
+from simulators.materials.materials import material, true_brdf
+from simulators.materials.surfaces import SANDBLASTED, SANDED, Surface, multiple_lobe, over_aperture, single_lobe
 
 NM = np.array([420.0, 500.0, 600.0, 700.0, 900.0])
 

@@ -5,9 +5,9 @@ import pytest
 from scipy import ndimage, stats
 
 from simulators.errors import UnfitTopography
-from simulators.heights import autocorrelation, roughness
-from simulators.materials import SAMPLES
-from simulators.synthesis import (
+from simulators.materials.materials import SAMPLES
+from simulators.topographies.heights import autocorrelation, roughness
+from simulators.topographies.synthesis import (
     brushed,
     gaussian,
     gaussian_correlation,

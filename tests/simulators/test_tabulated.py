@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.directions import round_aperture
+from analysis.reflectance.directions import round_aperture
 from drivers.arrays import FloatArray
-from goniometer.dataset import Dataset, Flag
+from goniometer.datasets.dataset import Dataset, Flag
 from simulators.computed import Computed, computed_dataset
 from simulators.errors import UnfitTable, UnknownMaterial
-from simulators.materials import SAMPLES, material, true_brdf
-from simulators.tabulated import Tabulated, check_reach, tabulated_brdf
-from simulators.tabulated_file import read_tabulated, write_tabulated
+from simulators.materials.materials import SAMPLES, material, true_brdf
+from simulators.materials.tabulated import Tabulated, check_reach, tabulated_brdf
+from simulators.materials.tabulated_file import read_tabulated, write_tabulated
 from tests.drawn_dataset import drawn_dataset
 
 NM = np.arange(400.0, 801, 50)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from goniometer.errors import DataFileError, InputError
-from simulators.heights import HeightField, roughness
-from simulators.synthesis import gaussian, gaussian_correlation
-from simulators.topography import topography
-from simulators.topography_file import read_topography, write_topography
+from simulators.topographies.heights import HeightField, roughness
+from simulators.topographies.synthesis import gaussian, gaussian_correlation
+from simulators.topographies.topography import topography
+from simulators.topographies.topography_file import read_topography, write_topography
 
 
 def nms(heights_um: np.ndarray, pitch_nm: tuple[float, float], unmeasured: np.ndarray | None = None) -> bytes:

@@ -5,13 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from analysis.fresnel import load_conductor
+from analysis.reflectance.fresnel import load_conductor
 from goniometer.errors import InputError
 from simulators.choices import Kernel
-from simulators.diffraction import Coherence
-from simulators.heights import HeightField
-from simulators.sampling import CoarseSampling, refined
-from simulators.waves import averaged, averaged_brdf, obliquity, patch_brdf, scattering_vectors
+from simulators.topographies.heights import HeightField
+from simulators.waves.diffraction import Coherence
+from simulators.waves.sampling import CoarseSampling, refined
+from simulators.waves.waves import averaged, averaged_brdf, obliquity, patch_brdf, scattering_vectors
 
 WAVELENGTHS = np.array([420.0, 600.0, 750.0])
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import serial
 
-from simulators.faults import FaultScript, Kind
-from simulators.wire import ByteServer, lines
+from simulators.devices.faults import FaultScript, Kind
+from simulators.devices.wire import ByteServer, lines
 
 
 class Counter(ByteServer):

@@ -1,0 +1,1 @@
+"""Models fitted to measurements, and whether a fit can be trusted."""

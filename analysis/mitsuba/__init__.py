@@ -1,0 +1,1 @@
+"""Scenes, renderings and the plugin for Mitsuba 3."""

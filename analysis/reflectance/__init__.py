@@ -1,0 +1,1 @@
+"""Reflectance models as functions of direction and wavelength."""

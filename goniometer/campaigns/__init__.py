@@ -1,0 +1,1 @@
+"""What is to be measured: campaigns, and their files."""

@@ -1,0 +1,1 @@
+"""The white reference and the certificates of its panels."""

@@ -1,0 +1,1 @@
+"""Calibrated datasets, and what they say about themselves."""

@@ -1,0 +1,1 @@
+"""Files of datasets: those of this program, and those of others."""

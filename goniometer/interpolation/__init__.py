@@ -1,0 +1,1 @@
+"""A BRDF between the directions in which it was measured, with the uncertainty of reading it there."""

@@ -1,0 +1,1 @@
+"""Series of photographs of one sample under light from many angles."""

@@ -1,0 +1,1 @@
+"""From counts to 1/sr, with every source of error."""

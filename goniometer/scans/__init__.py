@@ -1,0 +1,1 @@
+"""How a scan is run: exposures, darks, batches of points, waiting and going on."""

@@ -1,0 +1,1 @@
+"""Speed against accuracy: what scans and simulations cost, and how right they are."""

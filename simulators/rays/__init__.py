@@ -1,0 +1,1 @@
+"""Reflectance of height maps by geometric optics."""

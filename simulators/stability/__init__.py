@@ -1,0 +1,1 @@
+"""Where fits fail: difficult measurements held against their truth."""

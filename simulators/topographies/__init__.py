@@ -1,0 +1,1 @@
+"""Height maps of rough surfaces, synthesised and from microscopes."""

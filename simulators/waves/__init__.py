@@ -1,0 +1,1 @@
+"""Reflectance of height maps by scalar wave optics."""
