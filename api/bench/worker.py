@@ -36,7 +36,7 @@ from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
 from api.bodies.bench import Alarm, BenchState, Driver
 from api.errors import Conflict
-from api.logs import log_as_json
+from api.logs import log_to_stderr
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreBusy, StoreError
 from goniometer.storage.records import now
@@ -62,7 +62,7 @@ log = logging.getLogger(__name__)
 def main(connection: Connection, task: Task) -> None:
     """Drive the bench until the service that started this process is gone or says so."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the service as well, which says when to end
-    log_as_json()
+    log_to_stderr()
     asyncio.run(_Worker(connection, task).serve())
 
 

@@ -49,5 +49,10 @@ def uploaded(output: Path, token: str) -> Path:
     return next(folder.iterdir())
 
 
+def called_as_sent(output: Path, told: str) -> str:
+    """What is told of uploads, each by the name under which it was sent and not by where it lies."""
+    return re.sub(re.escape(f"{_folder(output)}/") + f"{_TOKEN.pattern}/", "", told)
+
+
 def _folder(output: Path) -> Path:
     return output / "uploads"

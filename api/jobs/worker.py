@@ -10,6 +10,7 @@ from analysis.fits.fit_json import strict_json
 from api.executor import end_with_parent
 from api.jobs.kinds import KINDS, Work
 from api.jobs.retention import JOBS
+from api.jobs.uploads import called_as_sent
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, OptionError
 from goniometer.storage.store import Store
@@ -59,9 +60,9 @@ def work(database: str, output: str, cluster: str | None, job_id: int, kind: str
     try:
         made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
     except OptionError as error:
-        return Ended(fault=error.by_field)
+        return Ended(fault=called_as_sent(here.output, error.by_field))
     except (GoniometerError, AnalysisError, DriverError) as error:
-        return Ended(fault=str(error))
+        return Ended(fault=called_as_sent(here.output, str(error)))
     except OSError as error:
         return Ended(fault=f"{error.filename or 'The output'}: {error.strerror or error}; make room, and run it again.")
     finally:

@@ -13,7 +13,7 @@ import uvicorn
 from api.access.audit import record, record_done
 from api.access.tokens import first_token
 from api.jobs.retention import KEPT, Retention
-from api.logs import log_as_json
+from api.logs import log_to_stderr
 from api.settings import InstrumentSettings
 from api.web.access import check_listen
 from api.web.app import make_app
@@ -69,7 +69,7 @@ def serve(
     tls = listen.tls_cert is not None
     store = Store.open(database, bench)
     access = check_listen(listen.host, store, tls=tls, behind_proxy=listen.behind_proxy, hosts=listen.names)
-    log_as_json()
+    log_to_stderr()
     with _listening(listen.host, listen.port) as listener:
         host = f"[{listen.host}]" if ":" in listen.host else listen.host
         url = f"{'https' if tls else 'http'}://{host}:{listener.getsockname()[1]}"

@@ -145,6 +145,7 @@ def test_what_a_file_does_not_say_is_asked_for_by_the_name_of_its_field(service:
     assert job["state"] == "failed"
     assert "state quantity, angles, wavelengths as well" in job["reason"]
     assert "--" not in job["reason"]
+    assert job["reason"].startswith("theirs.csv: ")
     refused = client.post("/api/datasets/1/exports", {"format": "csv", "options": {"creators": ["A, B"]}})
     assert refused.status_code == 422, refused.text
     assert "no option creators" in refused.json()["detail"]

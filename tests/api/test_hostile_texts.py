@@ -1,8 +1,10 @@
 """Names and notes made to harm who looks at them: on a terminal, in a browser, in a log."""
 
+import io
 import json
 import logging
 import re
+import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
@@ -18,7 +20,7 @@ from analysis.mitsuba.scene import read_mitsuba
 from api.commands.main import app
 from api.exports.formats import Options, export_dataset
 from api.inert_console import InertConsole
-from api.logs import log_as_json
+from api.logs import log_to_stderr
 from api.results.foreign_scene import check_foreign_scene
 from api.results.imports import Request, imported_file
 from api.results.products import report_dataset
@@ -157,7 +159,7 @@ def test_the_name_of_a_sample_leads_to_no_other_folder(
 def test_a_line_of_the_log_stays_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     before = logging.getLogger().handlers[:], logging.getLogger().level
     try:
-        log_as_json()
+        log_to_stderr()
         text = 'a\n{"level": "CRITICAL", "message": "forged"}\r\n\x1b[2J\u2028'
         logging.getLogger("test").error("%s %s", text, text, exc_info=ValueError(text))
     finally:
@@ -167,6 +169,25 @@ def test_a_line_of_the_log_stays_one_line(capsys: pytest.CaptureFixture[str]) ->
     assert rest == ""
     assert json.loads(line)["message"] == f"{text} {text}"
     assert line.isprintable()
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_who_sits_at_a_terminal_reads_sentences_that_command_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = logging.getLogger().handlers[:], logging.getLogger().level
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    try:
+        log_to_stderr()
+        logging.getLogger("test").error("a\n12:00:00 CRITICAL: forged\x1b[2J")
+    finally:
+        logging.getLogger().handlers[:], level = before
+        logging.getLogger().setLevel(level)
+    assert re.fullmatch(
+        r"\d\d:\d\d:\d\d ERROR: a\\n12:00:00 CRITICAL: forged\\x1b\[2J\n", terminal.getvalue()
+    )
 
 
 LAUGHS = (
