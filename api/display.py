@@ -122,7 +122,8 @@ def _state(progress: Progress) -> str:
     """Time left, what it waits for, or how it ended."""
     if progress.phase == "finished":
         dead = "" if progress.dead_time is None else f", {progress.dead_time:.2g} s of dead time a point"
-        return f"finished, {duration(progress.bench_elapsed)} on the bench{dead}"
+        ended = "finished" if progress.outcome == "completed" else progress.outcome
+        return f"{ended}, {duration(progress.bench_elapsed)} on the bench{dead}"
     if progress.phase != "running":
         return progress.phase
     if progress.waiting is not None:

@@ -13,11 +13,11 @@ from goniometer.wording import inert
 class _Sentences(logging.Formatter):
     """Time, level and message; nothing in them commands the terminal or looks like a line of its own."""
 
-    def formatMessage(self, record: logging.LogRecord) -> str:
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  (as logging calls it)
         record.message = inert(record.message).replace("\n", "\\n")
         return super().formatMessage(record)
 
-    def formatException(self, ei: Any) -> str:
+    def formatException(self, ei: Any) -> str:  # noqa: N802  (as logging calls it)
         return inert(super().formatException(ei))
 
 

@@ -117,6 +117,10 @@ class Runner:
         except (GoniometerError, AnalysisError, DriverError, OSError) as error:
             log.error("%s: %s", campaign.name, error)
             queue.finish_entry(self._store, entry.id, "failed", str(error))
+        except Exception as error:  # it ends this entry and not the night: the scan has made the bench safe
+            log.exception("A fault of the program ended %s", campaign.name)
+            told = f"It met a fault of the program ({type(error).__name__}: {error}); the log says where."
+            queue.finish_entry(self._store, entry.id, "failed", told)
         finally:
             self.entry = self._progress = None
             self._changed()

@@ -1,10 +1,14 @@
 """How far a scan has come, as a frozen snapshot that anybody may keep."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from goniometer.geometry import Geometry
-from goniometer.states import Kind, Phase
+from goniometer.states import Kind, Outcome
 from goniometer.storage.records import Expected
+
+ToldPhase = Literal["running", "paused", "finished"]
+"""The phases that a scan tells of itself; what it was asked for meanwhile stands in the database."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +29,9 @@ class Progress:
     sample: str
     """Name of the scan: that of its sample, with the number of the repeat, or "reference"."""
     kind: Kind
-    phase: Phase
+    phase: ToldPhase
     geometry: Geometry | None
-    """The direction that is measured now; None between points."""
+    """The direction that is measured now, or was measured just now; None before the first and while it waits."""
     done: int
     """Points that are finished, the failed and skipped ones included."""
     failed: int
@@ -46,6 +50,8 @@ class Progress:
     """Seconds at a point beyond moves and integration, as measured; None until a few points are done."""
     waiting: Waiting | None = None
     """None while it measures."""
+    outcome: Outcome | None = None
+    """How it ended; None while it has not. Why stands in the database."""
 
     @property
     def fraction(self) -> float:

@@ -2,14 +2,14 @@
 
 The phases of a scan, as they stand in the database:
 
-    idle ──> running ──────────────────────────────> finished (completed)
-               │  ^ resume
-         pause │  └──────── paused
-               v              ^ │
-            pausing ──────────┘ │ abort
-               │ abort          v
-               └──────────> aborting ──────────────> finished (aborted: why)
-    running, or any of the others ── device gone ──> finished (failed: why)
+    idle ── its campaign is run ──> running
+    running ── the plan has no more points ──────────────────> finished (completed)
+    running ── pause ──> pausing ── the point is done ──> paused
+    pausing, paused ── resume ──> running
+    running, pausing, paused ── abort ──> aborting ──────────> finished (aborted: why)
+    any of these ── stopped at once, or its process killed ──> finished (aborted: why)
+    any of these ── device gone, conditions unmet, ... ──────> finished (failed: why)
+    finished (aborted, failed) ── its campaign is run again ──> running
 
 Pausing takes effect after the point in hand, aborting at once. Cancelling the task that runs a scan is the
 emergency stop: stages stopped, shutter closed, scan aborted. An aborted or failed scan, and one whose process
@@ -38,7 +38,7 @@ from typing import Any
 from drivers.errors import DriverError
 from goniometer.bench.instrument import Instrument
 from goniometer.campaigns.campaign import Campaign
-from goniometer.errors import GeometryError, ReferenceIncomplete, RunAborted, StoreError
+from goniometer.errors import GeometryError, GoniometerError, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.geometry import Geometry
 from goniometer.plans.plan import plan_spec
 from goniometer.plans.reach import check_plan
@@ -49,9 +49,9 @@ from goniometer.scans.duration import Foreseen
 from goniometer.scans.estimate import Estimate
 from goniometer.scans.exposure import Brightness, Detector, brightness, check_limits, detector_of, predict, take
 from goniometer.scans.prescan import check_prescan
-from goniometer.scans.progress import Progress, Waiting
+from goniometer.scans.progress import Progress, ToldPhase, Waiting
 from goniometer.scans.waiting import Readiness, pass_time
-from goniometer.states import Outcome, Phase
+from goniometer.states import Outcome
 from goniometer.storage.lineage import lacks_dataset
 from goniometer.storage.records import Point, Scan
 from goniometer.storage.store import Store
@@ -76,7 +76,7 @@ Mount = Callable[[Scan], Coroutine[Any, Any, None]]
 """Called before every scan, also where its sample lies there already; returns when the sample, or the reference panel,
 lies on the bench: for the scan of a spot with another place in the light, or turned by 90 degrees about its normal."""
 Report = Callable[[Progress], None]
-"""Called at every change; must return soon."""
+"""Called at every change; must return soon. What it raises ends the scan, as any other fault."""
 
 
 async def run_campaign(
@@ -135,6 +135,7 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
             reason = f"No direction of {scan.name} has a value with which another spot could be compared."
             log.warning("%s", reason)
             store.finish_scan(scan_id, "failed", reason)
+            run.tell("finished", outcome="failed")
             return
         await run.unless_aborted(mount(scan))
         await run.measure()
@@ -144,12 +145,13 @@ async def run_scan(store: Store, scan_id: int, instrument: Instrument, mount: Mo
         # The device may be what failed, and the disk may be full: do what can be done, then tell the first cause.
         with contextlib.suppress(DriverError):
             await instrument.safe()
+        ended = _ending(error)
         with contextlib.suppress(StoreError):
-            store.finish_scan(scan_id, *_ending(error))
-            run.tell("finished")
+            store.finish_scan(scan_id, *ended)
+        run.tell("finished", outcome=ended[0])
         raise
     store.finish_scan(scan_id, "completed", run.batches.accuracy())
-    run.tell("finished")
+    run.tell("finished", outcome="completed")
 
 
 def _ending(error: BaseException) -> tuple[Outcome, str]:
@@ -158,7 +160,9 @@ def _ending(error: BaseException) -> tuple[Outcome, str]:
         return "aborted", str(error)
     if isinstance(error, asyncio.CancelledError | KeyboardInterrupt):
         return "aborted", "It was stopped at once."
-    return "failed", str(error) or type(error).__name__
+    if isinstance(error, DriverError | GoniometerError | OSError):
+        return "failed", str(error)
+    return "failed", f"It met a fault of the program ({type(error).__name__}: {error})."
 
 
 class _Run:
@@ -258,7 +262,7 @@ class _Run:
                 f"({first.reason.rstrip('.')}); find the cause and run the campaign again to measure them"
             )
 
-    def tell(self, phase: Phase, geometry: Geometry | None = None) -> None:
+    def tell(self, phase: ToldPhase, geometry: Geometry | None = None, outcome: Outcome | None = None) -> None:
         """Report a snapshot."""
         elapsed = time.monotonic() - self.began
         here, left = self.bench_seconds - self.bench_seconds_before, self.estimate.remaining
@@ -278,6 +282,7 @@ class _Run:
                 left.seconds * elapsed / here if here else None,
                 self.estimate.dead_time,
                 self.waiting,
+                outcome,
             )
         )
 

@@ -21,6 +21,7 @@ from api.results.fitting import Fits
 from api.web.live import open_live
 from api.web.queue_view import entry_view
 from goniometer.campaigns.campaign import Campaign
+from goniometer.scans import scheduler
 from goniometer.storage.store import Store
 from tests.api.service_client import Client
 from tests.served import TINY
@@ -78,6 +79,33 @@ def test_a_fault_of_the_program_in_a_calibration_or_a_fit_ends_the_entry_with_it
             ended = queue.entry(store, entry.id)
             assert (ended.outcome, ended.reason) == ("completed", "")
             assert any(fit.kind == "analysis" for fit in store.fits(1))
+            await bench.park()
+
+    asyncio.run(go())
+
+
+def test_a_fault_of_the_program_in_a_scan_ends_its_entry_with_its_reason_and_the_next_one_is_measured(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def go() -> None:
+        runner, bench = runner_on(store, tmp_path, [])
+        with store.exclusive():
+            entry = next_entry(store, "Tiny")
+            with monkeypatch.context() as broken:
+                broken.setattr(scheduler, "take", operator.truediv)
+                await runner.run(entry)
+            (scan, *_) = store.scans()
+            for outcome, reason in (
+                (queue.entry(store, entry.id).outcome, queue.entry(store, entry.id).reason),
+                (scan.outcome, scan.reason),
+            ):
+                assert outcome == "failed"
+                assert "fault of the program (TypeError" in reason
+            assert bench.phase == "ready"
+            second = next_entry(store, "Second")
+            await runner.run(second)
+            await fits_end(runner)
+            assert queue.entry(store, second.id).outcome == "completed"
             await bench.park()
 
     asyncio.run(go())

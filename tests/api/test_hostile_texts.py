@@ -185,9 +185,7 @@ def test_who_sits_at_a_terminal_reads_sentences_that_command_nothing(monkeypatch
     finally:
         logging.getLogger().handlers[:], level = before
         logging.getLogger().setLevel(level)
-    assert re.fullmatch(
-        r"\d\d:\d\d:\d\d ERROR: a\\n12:00:00 CRITICAL: forged\\x1b\[2J\n", terminal.getvalue()
-    )
+    assert re.fullmatch(r"\d\d:\d\d:\d\d ERROR: a\\n12:00:00 CRITICAL: forged\\x1b\[2J\n", terminal.getvalue())
 
 
 LAUGHS = (

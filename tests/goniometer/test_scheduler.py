@@ -203,10 +203,11 @@ def test_pause_resume_and_abort_work_from_another_process(either, database):
 
 def test_a_pause_asked_for_during_the_last_point_is_obeyed(either, database):
     other = Store.open(database)
-    phases = []
+    phases, outcomes = [], []
 
     def report(progress):
         phases.append(progress.phase)
+        outcomes.append(progress.outcome)
         if progress.phase == "running" and progress.done == progress.expected:
             other.request(progress.scan_id, "pause")
         elif progress.phase == "paused":
@@ -215,6 +216,7 @@ def test_a_pause_asked_for_during_the_last_point_is_obeyed(either, database):
     with pytest.raises(RunAborted):
         asyncio.run(run(either, report=report))
     assert phases[-2:] == ["paused", "finished"]
+    assert [outcome for outcome in outcomes if outcome] == ["completed", "aborted"]
     reference, sample = either.scans()
     assert {p.status for p in either.points(reference.id)} == {"done"}
     assert sample.phase == "idle"
