@@ -14,10 +14,11 @@ from drivers.qepro import QEPro, QEProLight
 from drivers.smc100 import SMC100
 from goniometer.bench.instrument import Instrument
 from goniometer.bench.route import approach, travel
-from goniometer.bench.safety import Forbidden, check_plan, check_standing, grown, raised, safe_path
+from goniometer.bench.safety import Forbidden, check_standing, grown, raised, safe_path
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
 from goniometer.plans.plan import PlanSpec
+from goniometer.plans.reach import check_plan
 from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
 
 DRIVERS = {

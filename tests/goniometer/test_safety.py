@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniometer.bench.safety import Forbidden, check_plan, check_standing, safe_path
+from goniometer.bench.safety import Forbidden, check_standing, safe_path
 from goniometer.errors import ConfigurationError, GeometryError
 from goniometer.geometry import Geometry
 from goniometer.plans.plan import PlanSpec, reference_points
+from goniometer.plans.reach import check_plan
 
 LIMITS = ((0.0, 90.0), (-85.0, 170.0))
 SPEC = PlanSpec((0.0, 30.0, 60.0))
