@@ -37,7 +37,13 @@ def _observer_under_d65() -> tuple[FloatArray, FloatArray]:
 
 
 def observer(wavelengths: FloatArray) -> FloatArray:
-    """[wavelengths, 3] colour matching functions of the CIE 1931 2 degree observer; `wavelengths` in nm."""
+    """[wavelengths, 3] colour matching functions of the CIE 1931 2 degree observer; `wavelengths` in nm.
+
+    Beyond their table, 360 to 830 nm, they are 0: the eye sees nothing there.
+
+    >>> observer(np.array([300.0, 555.0, 900.0]))[:, 1].tolist()
+    [0.0, 1.0, 0.0]
+    """
     import colour  # noqa: PLC0415  (takes seconds)
 
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
@@ -47,7 +53,10 @@ def observer(wavelengths: FloatArray) -> FloatArray:
 def illuminant(name: str, wavelengths: FloatArray) -> FloatArray:
     """[wavelengths] relative spectrum of a CIE illuminant, e.g. D65, A or FL11; `wavelengths` in nm.
 
-    Raises `OutOfRange` for a name that `colour-science` does not know.
+    Beyond its table it keeps the value at the end. Raises `OutOfRange` for a name that `colour-science` does not know.
+
+    >>> illuminant("D65", np.array([560.0, 780.0, 900.0])).round(4).tolist()
+    [100.0, 63.3828, 63.3828]
     """
     import colour  # noqa: PLC0415  (takes seconds)
 
@@ -112,12 +121,22 @@ def rgb_to_xyz(rgb: FloatArray) -> FloatArray:
 
 
 def brdf_to_rgb(brdf: FloatArray, theta_in: FloatArray, wavelengths: FloatArray) -> FloatArray:
-    """[points, 3] linear BT.709 of spectra [points, wavelengths]; a uniform 1/sr at normal incidence is (1, 1, 1)."""
+    """[points, 3] linear BT.709 of spectra [points, wavelengths]; a uniform 1/sr at normal incidence is (1, 1, 1).
+
+    Raises `OutOfRange` as `xyz_weights`.
+
+    >>> brdf_to_rgb(np.ones((2, 4)), np.array([0.0, 60.0]), np.array([400.0, 500.0, 600.0, 700.0])).round(9).tolist()
+    [[1.0, 1.0, 1.0], [0.5, 0.5, 0.5]]
+    """
     return xyz_to_rgb(brdf_to_xyz(brdf, theta_in, wavelengths))
 
 
 def display_encoded(rgb: FloatArray) -> FloatArray:
-    """Linear RGB of any shape, clipped to [0, 1] and encoded for a display (sRGB, IEC 61966-2-1)."""
+    """Linear RGB of any shape, clipped to [0, 1] and encoded for a display (sRGB, IEC 61966-2-1).
+
+    >>> display_encoded(np.array([-0.1, 0.21404, 2.0])).round(4).tolist()
+    [0.0, 0.5, 1.0]
+    """
     clipped = np.clip(rgb, 0, 1)
     return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055))
 
@@ -147,7 +166,8 @@ def colour_differences(
     Chromatic: both spectra are divided by their value at `lambda_n` (nm), so their brightness and the angle of
     incidence drop out. A single noisy sample is no normalisation: the measured one is divided by the fitted
     value at `lambda_n` times the median of measured / fitted within 25 nm of it. NaN where a spectrum has a
-    gap in the visible, and in the chromatic difference where no light is left at `lambda_n`.
+    gap in the visible, and in the chromatic difference where no light is left at `lambda_n`. Raises `OutOfRange` as
+    `xyz_weights`.
     """
     absolute = delta_e_2000(brdf_to_xyz(measured, theta_in, wavelengths), brdf_to_xyz(fitted, theta_in, wavelengths))
 

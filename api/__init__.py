@@ -13,5 +13,5 @@ what is said to it      bodies
 what datasets become    results, exports, simulated
 where work is done      executor, cluster
 bluesky                 bluesky_devices
-what can go wrong       errors
+what can go wrong       errors, named_errors
 """

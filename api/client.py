@@ -1,7 +1,8 @@
 """The Python client of a running service, once for scripts that wait for each answer and once for asyncio.
 
 Both carry out the same `api.calls`. What the service refuses arrives as the exception that the same work raises here,
-e.g. `goniometer.errors.NotInStore` or `api.errors.Conflict`, with the `Refused` of the service as its `__cause__`.
+e.g. `goniometer.errors.NotInStore` or `api.errors.Conflict`, with the `Refused` of the service as its `__cause__`; or,
+as `RawDamaged` does, as a base of it: see `api.named_errors`.
 
 ServiceError
 ├── Refused      the service did not do what it was asked
@@ -22,16 +23,13 @@ import httpx
 import httpx_sse
 from pydantic import ValidationError
 
-import analysis.errors
-import api.errors
-import drivers.errors
-import goniometer.errors
 from api import calls
 from api.bodies.base import Page
 from api.bodies.jobs import OPEN, JobView
 from api.bodies.service import PROBLEM, Problem
 from api.call import Call
 from api.errors import ServiceError
+from api.named_errors import error_named
 
 T = TypeVar("T")
 
@@ -247,27 +245,11 @@ def _refusal(response: httpx.Response) -> Exception:
         return Unreachable(told, response.request)
     problem = Problem.model_validate_json(response.content)
     refused = Refused(problem, response.request)
-    kind = _KNOWN.get(problem.type.rpartition(":")[2].replace("-", ""))
-    if kind is None:
+    error = error_named(problem.type.rpartition(":")[2], problem.detail)
+    if error is None:
         return refused
-    error = kind(problem.detail)
     error.__cause__ = refused
     return error
-
-
-def _takes_a_sentence(known: type) -> bool:
-    """Whether an exception is made of its message alone."""
-    own = known.__init__  # type: ignore[misc]  # of a class that is only looked at
-    return own in {Exception.__init__, goniometer.errors.InputError.__init__}
-
-
-_KNOWN: dict[str, type[Exception]] = {
-    name.lower(): known
-    for module in (drivers.errors, analysis.errors, api.errors, goniometer.errors)
-    for name, known in vars(module).items()
-    if isinstance(known, type) and issubclass(known, Exception) and _takes_a_sentence(known)
-}
-"""By the name that a problem has for its kind, without hyphens."""
 
 
 def _unreachable(url: httpx.URL, error: httpx.TransportError) -> Unreachable:

@@ -1,6 +1,18 @@
 """The kinds of device on the bench, as the rest of the system sees them.
 
-Angles are degrees, times seconds, temperatures degrees Celsius. All methods raise `DriverError`.
+Angles are degrees, times seconds, temperatures degrees Celsius. All methods raise `DriverError`, and `Camera.capture`
+`FileExistsError` besides.
+
+What a driver must survive:
+
+- A call is cancelled at any of its awaits, by an abort or by *Stop*. `stop` and `set_shutter` come at once, before the
+  call that was cancelled has ended.
+- What was begun is never collected: a move without its `arrive`, spectra without `collect_sequence`. The next command
+  comes all the same.
+- Other tasks ask for `state` and `position` while a stage moves or homes. `temperature` may be waiting for its answer
+  when a spectrum is asked for.
+- After a fault a stage is closed, opened and homed again in whatever state it is, and a spectrometer is opened without
+  having been closed. What never opened, or not to the end, is stopped and closed nevertheless.
 """
 
 from dataclasses import dataclass
@@ -69,8 +81,8 @@ class RotationStage(Protocol):
     async def begin_move(self, angle: float) -> float:
         """Begin to move to `angle` degrees, and return how long that should take, seconds, without waiting.
 
-        Meanwhile `state` and `position` tell where the stage is; `arrive` must follow. Raises `DeviceRefused` outside
-        `limits` before anything moves.
+        Meanwhile `state` and `position` tell where the stage is; who goes on waits with `arrive`. Raises
+        `DeviceRefused` outside `limits` before anything moves.
         """
 
     async def arrive(self, angle: float, expected: float = 0.0) -> float:

@@ -107,7 +107,10 @@ class Known:
 
 
 class QEProWire:
-    """An opened QE Pro. `name` is for messages; `timeout` bounds each reply, in seconds."""
+    """An opened QE Pro. `name` is for messages; `timeout` bounds each reply, in seconds.
+
+    All methods but `close` raise `DriverError`.
+    """
 
     def __init__(self, name: str, serial_number: str | None, usb_backend: Any, timeout: float) -> None:
         """Open the device with `serial_number`, or the only one. Raises as `open_link` does."""

@@ -100,7 +100,7 @@ class Stage(ABC):
         return await self.arrive(angle, await self.begin_move(angle))
 
     async def begin_move(self, angle: float) -> float:
-        """Begin to move to `angle` degrees and return how long that should take, seconds; `arrive` must follow.
+        """Begin to move to `angle` degrees and return how long that should take, seconds; `arrive` waits for the end.
 
         Raises `DeviceRefused` outside `limits` before anything is sent, or with the device's own reason.
         """

@@ -60,7 +60,10 @@ log = logging.getLogger(__name__)
 
 
 class UsbLink:
-    """An opened device. `name` is for messages; `timeout` bounds each transfer, in seconds."""
+    """An opened device. `name` is for messages; `timeout` bounds each transfer, in seconds.
+
+    All methods but `close` raise `DriverError`.
+    """
 
     def __init__(self, name: str, device: Any, timeout: float) -> None:
         """Open `device` (a `usb.core.Device`). Raises `DeviceNotFound` when the system does not let us."""

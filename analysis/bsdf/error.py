@@ -64,7 +64,7 @@ class Probe:
     def colours(self, found: FloatArray) -> FloatArray:
         """[pairs] CIEDE2000, brightness included, each pair exposed so that the model's Y is that of white.
 
-        Zero for pairs too faint to be seen beside any other.
+        Zero for pairs too faint to be seen beside any other. Raises `OutOfRange` as `analysis.colour.xyz_weights`.
         """
         weights = xyz_weights(self.wavelengths)
         exact = self.exact @ weights

@@ -27,7 +27,10 @@ class Exposure:
 
 
 def exposure_of(dataset: Dataset) -> Exposure:
-    """Exposure that maps the 95th percentile of the brightest channel to white."""
+    """Exposure that maps the 95th percentile of the brightest channel to white.
+
+    Raises `OutOfRange` as `brdf_to_rgb`.
+    """
     brightest = brdf_to_rgb(dataset.brdf, dataset.theta_in, dataset.wavelengths).max(axis=-1)
     factor = 1 / float(np.nanpercentile(brightest, 95))
     return Exposure(factor, int(np.sum(brightest * factor > 1)))
@@ -39,7 +42,7 @@ def shown_colours(
     """ "#rrggbb" of spectra [points, wavelengths], 1/sr, under D65; None where there is no value.
 
     Without an exposure all have one luminance, so that only the hue is left, and those that have none ([points]) are
-    None.
+    None. Raises `OutOfRange` as `brdf_to_rgb`.
     """
     rgb = brdf_to_rgb(values, theta_in, wavelengths)
     if exposure is None:

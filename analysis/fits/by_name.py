@@ -95,7 +95,7 @@ def compared(fit: ModelFit, simpler: ModelFit, dataset: Dataset, conductor: Cond
     residuals, as which the residuals of `fit` count by their autocorrelation: that of all residuals would call every
     trifle significant where neighbours repeat each other. The two components of a metal (`conductor`, aluminium unless
     given) are fitted to the slopes of the spectra as well, so what is left of these counts in the same way, beside the
-    least that any cosine leaves.
+    least that any cosine leaves. Raises `OutOfRange` beyond the conductor's table.
     """
     n = max(fit.independent, 2.0)
     more = len(fit.parameters) - len(simpler.parameters)

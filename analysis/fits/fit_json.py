@@ -49,7 +49,10 @@ _LINE_BREAK = re.compile(r"\s*\n\s*")
 
 
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
-    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with, the latter where it was needed."""
+    """One fit as JSON text; `dataset` and `conductor` are those it was fitted with, the latter where it was needed.
+
+    Raises as `analysis_to_json`.
+    """
     part = _fit_part(fit, dataset, differences)
     needed = {"conductor": _conductor_part(conductor)} if _is_of_metal(part) else {}
     return strict_json(_head(FIT_SCHEMA) | part | needed)

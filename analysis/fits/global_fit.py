@@ -81,7 +81,8 @@ def global_fit(
     and the model of the slopes where its residuals are structured, is a part of them, too (`analysis.fits.misfit`). The
     verdict of a cosine rests on an F-test against a constant slope. It is a model of normalised spectra: `fitted` takes
     its scale at lambda_n from `local`, point by point; p is absent where `local` held the exponents. r2 is that of the
-    slopes, weighted. Raises `FitError` for fewer than five reliable slopes, or fewer than parameters and two more.
+    slopes, weighted. Raises `FitError` for fewer than five reliable slopes, or fewer than parameters and two more, and
+    `OutOfRange` beyond the conductor's table.
     """
     metal = (conductor or load_conductor()) if local.fresnel else None
     used = local.reliable
@@ -192,7 +193,10 @@ def global_fit(
 
 
 def slope_and_derivative(model: str, directions: Directions, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slopes of the shift [...], 1/um, and their derivatives [parameters, ...], of a model of `SLOPE_MODELS`."""
+    """Slopes of the shift [...], 1/um, and their derivatives [parameters, ...], of a model of `SLOPE_MODELS`.
+
+    Raises `OutOfRange` for a negative sharpness.
+    """
     own = [float(value) for value in parameters]
     if model == "constant-slope":
         return np.full(directions.cos_m.shape, own[0]), np.ones((1, *directions.cos_m.shape))

@@ -187,16 +187,19 @@ def local_fit(
 
 
 def local_exponents(dataset: Dataset, conductor: Conductor | None = None, lambda_n: float = LAMBDA_N) -> FloatArray:
-    """[points] the exponents p of `local_fit` alone, without all that is made of them."""
+    """[points] the exponents p of `local_fit` alone, without all that is made of them.
+
+    Raises `OutOfRange` beyond the conductor's table.
+    """
     return _search_exponent(_spectra(dataset, conductor or load_conductor(), lambda_n))[0]
 
 
 def local_gain(dataset: Dataset, local: LocalFit, conductor: Conductor | None) -> FloatArray:
     """[2, points, wavelengths] derivative of slope (1/um) and exponent by each BRDF value, at the fit's solution.
 
-    `conductor` is that of the fit, None for one without Fresnel term. Zero where a value was not used, and at points
-    that are not reliable. This is what passes errors that
-    points share on to whatever is made of the slopes.
+    `conductor` is that of the fit, None for one without Fresnel term; `OutOfRange` is raised beyond its table. Zero
+    where a value was not used, and at points that are not reliable. This is what passes errors that points share on to
+    whatever is made of the slopes.
     """
     used = local.reliable
     spectra = _spectra(dataset, conductor, local.lambda_n).take(used)
@@ -219,9 +222,8 @@ def shifted_fresnel(
 ) -> FloatArray:
     """[points, wavelengths] a shift F_n^p (Eq. 3) for `scale`, `slope` (1/um) and `exponent`, all [points].
 
-    Without a `conductor` F_n is one.
-
-    Unlike a local fit it is a model to be evaluated, so a negative shift is clamped at zero.
+    Without a `conductor` F_n is one; beyond the table of one `OutOfRange` is raised. Unlike a local fit it is a model
+    to be evaluated, so a negative shift is clamped at zero.
     """
     power = np.exp(exponent[:, None] * _spectra(dataset, conductor, lambda_n).log_fresnel)
     return np.asarray(scale[:, None] * shift(slope, dataset.wavelengths, lambda_n) * power)

@@ -34,7 +34,7 @@ def local_misfit(
 
     `fitted` [points, wavelengths] are the spectra of a local fit, NaN where there is none, `parameters` its scale,
     slope and exponent, each [points], and `conductor` None for a fit that held the exponents. Zero where the noise of
-    the counts explains what is left.
+    the counts explains what is left. Raises `OutOfRange` beyond the conductor's table.
     """
     scale, slope, exponent = parameters
     u = dataset.u_counts

@@ -150,7 +150,10 @@ def fresnel_dielectric(cos_theta: FloatArray, eta: float) -> FloatArray:
 
 
 def fresnel_dielectric_derivative(cos_theta: FloatArray, eta: float) -> tuple[FloatArray, FloatArray]:
-    """`fresnel_dielectric` and its derivative by `eta`."""
+    """`fresnel_dielectric` and its derivative by `eta`, both of the shape of `cos_theta`.
+
+    Raises `OutOfRange` for `eta` below one.
+    """
     r_s, r_p, g = _dielectric_amplitudes(cos_theta, eta)
     s_slope = -2 * cos_theta * eta / (g * (cos_theta + g) ** 2)
     p_slope = 2 * cos_theta * eta * (2 * g - eta**2 / g) / (eta**2 * cos_theta + g) ** 2

@@ -117,7 +117,10 @@ class View:
     """[wavelengths] nm."""
 
     def surface(self, parameters: FloatArray) -> FloatArray:
-        """[points, wavelengths] cos(theta_in) f of the surface alone."""
+        """[points, wavelengths] cos(theta_in) f of the surface alone, 1/sr.
+
+        Raises `OutOfRange` for a dielectric's index below one and for a negative sharpness.
+        """
         fresnel, slope = self.fresnel, None
         if self.form.conductor is None:
             fresnel = fresnel_dielectric(self.cos_d, float(parameters[1]))
@@ -135,7 +138,7 @@ class View:
         return np.asarray(self.cos_in * value)
 
     def surface_derivative(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`surface` and its derivatives by the parameters, [parameters, points, wavelengths]."""
+        """`surface` and its derivatives by the parameters, [parameters, points, wavelengths]; raises as `surface`."""
         fresnel = constant(self.fresnel)
         if self.form.conductor is None:
             reflectance, by_eta = fresnel_dielectric_derivative(self.cos_d, float(parameters[1]))
@@ -161,7 +164,8 @@ def brdf(
 ) -> FloatArray:
     """The model at `directions` [...] without an aperture, 1/sr, [..., wavelengths]; `albedo` [wavelengths].
 
-    Raises `OutOfRange` for wavelengths, nm, beyond the conductor's table.
+    Raises `OutOfRange` for wavelengths, nm, beyond the conductor's table, a dielectric's index below one and a negative
+    sharpness.
     """
     if form.conductor is None:
         fresnel = fresnel_dielectric(directions.cos_d[..., None], float(parameters[1]))
@@ -176,7 +180,10 @@ def brdf(
 
 
 def slope_of(form: Form, directions: Directions, parameters: FloatArray) -> FloatArray:
-    """Slope of the shift at `directions` [...], 1/um; zero for a model without shift."""
+    """Slope of the shift at `directions` [...], 1/um; zero for a model without shift.
+
+    Raises `OutOfRange` for a negative sharpness.
+    """
     own = [float(value) for value in parameters[form.first_of_shift :]]
     if form.shift == "none":
         return np.zeros_like(directions.cos_m)
@@ -186,7 +193,10 @@ def slope_of(form: Form, directions: Directions, parameters: FloatArray) -> Floa
 
 
 def slope_derivative(form: Form, directions: Directions, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`slope_of` and its derivatives by the parameters of the shift, [parameters of the shift, ...]."""
+    """`slope_of` and its derivatives by the parameters of the shift, [parameters of the shift, ...].
+
+    Raises as `slope_of`.
+    """
     own = [float(value) for value in parameters[form.first_of_shift :]]
     if form.shift == "none":
         return constant(np.zeros_like(directions.cos_m))

@@ -244,7 +244,7 @@ def cook_torrance_derivative(
     distribution: Distribution = "ggx",
     lambda_n: float = LAMBDA_N,
 ) -> tuple[FloatArray, FloatArray]:
-    """`cook_torrance` and its derivatives by alpha, h and w, [3, ..., wavelengths]."""
+    """`cook_torrance` and its derivatives by alpha, h and w, [3, ..., wavelengths]; raises as `cook_torrance`."""
     n, k = conductor.index(wavelengths)
     fresnel = constant(fresnel_conductor(directions.cos_d[..., None], n, k))
     slope, by_h_w_t = cosine_slope_derivative(theta_m(directions), h, w)
@@ -267,7 +267,8 @@ def measured_cook_torrance(
 ) -> FloatArray:
     """What an instrument with a finite aperture reads of `cook_torrance` in plane, [points, wavelengths], 1/sr.
 
-    Angles [points] in degrees; how it is read, and how exactly, stands at `microfacet`.
+    Angles [points] in degrees; how it is read, and how exactly, stands at `microfacet`. Raises `OutOfRange` beyond the
+    conductor's table.
     """
     directions = through_aperture(theta_in, theta_out, aperture)
     n, k = conductor.index(wavelengths)
@@ -316,7 +317,8 @@ def dielectric_derivative(
 ) -> tuple[FloatArray, FloatArray]:
     """`dielectric` and its derivatives by alpha, eta, h and w, [4, ..., wavelengths].
 
-    It is linear in `r_d`: each wavelength's value has the derivative 1/pi by r_d of that wavelength.
+    It is linear in `r_d`: each wavelength's value has the derivative 1/pi by r_d of that wavelength. Raises as
+    `dielectric`.
     """
     fresnel, by_eta = fresnel_dielectric_derivative(directions.cos_d[..., None], eta)
     slope, by_h_w_t = cosine_slope_derivative(theta_m(directions), h, w)

@@ -84,7 +84,10 @@ def two_component_slope_derivative(
     sharpness: float = 0.0,
     threshold: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """`two_component_slope` [...] and its derivatives by its six parameters in their order, [6, ...]."""
+    """`two_component_slope` [...] and its derivatives by its six parameters in their order, [6, ...].
+
+    Raises `OutOfRange` for a negative sharpness.
+    """
     v, v_by_w, v_by_kappa = _balance(directions, w, kappa)
     q = _checked(sharpness)
     away, level = v - threshold, np.asarray(threshold)

@@ -26,7 +26,10 @@ _LARGEST = 1.0
 
 
 def drawn_errors(dataset: Dataset, read: Between, seed: int) -> FloatArray:
-    """[draws, directions, 3] errors of ln X, ln Y and ln Z of a `dataset` that was `read` between its points."""
+    """[draws, directions, 3] errors of ln X, ln Y and ln Z of a `dataset` that was `read` between its points.
+
+    Raises `OutOfRange` as `analysis.colour.xyz_weights`.
+    """
     random = np.random.default_rng(seed)
     weights = xyz_weights(read.wavelengths)
     share = weights / weights.sum(axis=0)

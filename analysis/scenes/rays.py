@@ -97,7 +97,10 @@ def _sample_numbers(pixels: int, samples: int, seed: int) -> tuple[NDArray[np.in
 
 
 def camera_frame(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit vectors to the right, upwards and forwards."""
+    """Unit vectors [3] to the right, upwards and forwards.
+
+    Raises `SceneError` for a camera that looks along its own up.
+    """
     forward = _unit(np.subtract(camera.target, camera.position))
     up = np.asarray(camera.up, dtype=float)
     right = np.cross(forward, up)

@@ -14,10 +14,6 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-import api.errors
-import drivers.errors
-import goniometer.errors
-import simulators.errors
 from api.access.audit import record_done
 from api.bench.lease import pass_on_stop
 from api.bench.messages import Call, Doing, Done, Message, Refusal, Snapshot, Told
@@ -27,7 +23,7 @@ from api.bench.worker import main
 from api.bodies.bench import BenchState
 from api.errors import Conflict
 from api.events import Events
-from drivers.errors import DriverError
+from api.named_errors import error_named
 from goniometer.errors import GoniometerError
 from goniometer.storage.database import Database
 from goniometer.storage.records import now
@@ -198,7 +194,7 @@ class Link:
                     answer.set_result(value)
             case Refusal(number, kind, sentence):
                 if (answer := self._answer(number)) is not None:
-                    answer.set_exception(error_named(kind, sentence))
+                    answer.set_exception(error_named(kind, sentence) or GoniometerError(sentence))
 
     def _answer(self, number: int) -> Future[Any] | None:
         """The future of a call that is over; None where nobody waits for it any more."""
@@ -238,13 +234,3 @@ def _unknown(task: Task) -> BenchState:
         prompt=None,
         alarms=(),
     )
-
-
-def error_named(name: str, message: str) -> Exception:
-    """The error that the other process has raised."""
-    for module in (api.errors, simulators.errors, goniometer.errors, drivers.errors):
-        kind = getattr(module, name, None)
-        if kind is not None and kind is not goniometer.errors.BenchUnfit:  # which is made from its lines
-            error: GoniometerError | DriverError = kind(message)
-            return error
-    return GoniometerError(message)

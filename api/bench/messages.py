@@ -60,7 +60,7 @@ class Refusal:
 
     number: int
     kind: str
-    """Name of the error; see `api.bench.link.error_named`."""
+    """Name of the error; see `api.named_errors`."""
     message: str
 
 

@@ -82,7 +82,11 @@ async def measure_signature(instrument: Instrument, mount: Mount, theta_in: floa
 async def measure_noise(
     instrument: Instrument, mount: Mount, certificate: PanelCertificate, integration_time: float = 1.0, scans: int = 20
 ) -> Noise:
-    """Expose the white panel at theta_in = 0 and theta_out = 45 degrees, then nothing at all, again and again."""
+    """Expose the white panel at theta_in = 0 and theta_out = 45 degrees, then nothing at all, again and again.
+
+    `scans` exposures of `integration_time` seconds and as many darks tell the noise-equivalent BRDF of ASTM E2387.
+    Raises `CharacterisationError` where the panel saturates the detector at its shortest time.
+    """
     geometry = Geometry(0.0, 45.0)
     await mount("spectralon")
     meter = Meter(instrument, await instrument.constants(), LONGEST)

@@ -39,7 +39,10 @@ def _between(x: FloatArray, y: FloatArray, i: int, level: float) -> float:
 
 
 def centre_and_width(x: FloatArray, y: FloatArray) -> FloatArray:
-    """[2] the middle of a peak, mean over `LEVELS`, and its full width at half maximum, in the unit of `x`."""
+    """[2] the middle of a peak, mean over `LEVELS`, and its full width at half maximum, in the unit of `x`.
+
+    Arguments, and what is raised, as for `flanks`.
+    """
     pairs = np.array([flanks(x, y, level) for level in LEVELS])
     left, right = flanks(x, y, 0.5)
     return np.array([pairs.mean(), right - left])

@@ -28,7 +28,7 @@ _IN_PLANE = 1e-6
 
 
 def bird_json(dataset: Dataset, metadata: dict[str, Any]) -> tuple[str, list[str]]:
-    """The text of the file, and sentences about what is not in it."""
+    """The text of the file, and sentences about what is not in it; raises `DataFileError` where nothing is left."""
     kept = np.isfinite(dataset.brdf) & (dataset.brdf >= 0) & ~dataset.flagged(LEFT_OUT)[:, None]
     if not kept.any():
         raise DataFileError(f"{dataset.sample}: has no value that may be exported; calibrate it again.")

@@ -55,7 +55,10 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def bird_metadata(store: Store, dataset_id: int, said: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The metadata of a dataset, and sentences about what was not stated; `said` is what `read_about` gives."""
+    """The metadata of a dataset, and sentences about what was not stated; `said` is what `read_about` gives.
+
+    Raises `DataFileError` where `said` has an instrumentation without what the format wants of every one.
+    """
     dataset = store.dataset(dataset_id)
     scan_id = store.scan_of(dataset_id)
     scan = None if scan_id is None else store.scan(scan_id)

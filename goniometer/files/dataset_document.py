@@ -178,7 +178,7 @@ def parsed(where: str, content: object) -> Document:
 
 
 def parsed_json(where: str, text: str | bytes) -> Document:
-    """The same from its text."""
+    """The same from its text; raises `DataFileError` also for one that is no JSON."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -73,7 +73,7 @@ def read_published_json(path: str, text: str) -> tuple[MeasuredTable, list[str]]
 def published_json(dataset: Dataset) -> tuple[str, list[str]]:
     """The text of such a file, and sentences about what is not in it; it holds no uncertainty and no flags.
 
-    Points that no fit may use are left out; null is no value.
+    Points that no fit may use are left out; null is no value. Raises `DataFileError` where no point is left.
     """
     usable = np.flatnonzero(dataset.usable)
     if not usable.size:

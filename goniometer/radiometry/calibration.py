@@ -199,7 +199,8 @@ def band_values(sample: RawScan, known: Response) -> tuple[FloatArray, FloatArra
     """cos(theta_in) f in `BANDS` and its random standard uncertainty, each [points, bands]: what the plan looks at.
 
     A saturated value stands as it was read: for the plan it is bright, and that is enough. NaN where the
-    reference scan does not reach.
+    reference scan does not reach. Raises `CalibrationError` as `signal` and `reference_weights` do, and where the
+    reference scan shows no light.
     """
     wavelengths = sample.constants.wavelengths
     members = np.array([(wavelengths >= low) & (wavelengths <= high) for low, high in BANDS], dtype=float).T
@@ -287,8 +288,8 @@ def calibrate_scan(
     """`calibrate` on a scan in the database, with the reference scan that serves it, and the sanity checks.
 
     `certificate` and `override` replace those of the campaign. Raises `CertificateError` where the certificate is
-    missing or was not valid on the day of the reference scan and nobody overrides that. What lies on a simulated bench
-    as a table is calibrated at the wavelengths of the table only.
+    missing or was not valid on the day of the reference scan and nobody overrides that, `NotInStore`, and what
+    `calibrate` raises. What lies on a simulated bench as a table is calibrated at the wavelengths of the table only.
     """
     scans = store.scans(store.scan(scan_id).campaign_id)
     reference_scan = store.reference_scan(scan_id)

@@ -72,7 +72,11 @@ def factor(level: FloatArray, tilt: FloatArray, wavelengths: FloatArray) -> Floa
 
 
 def lamp_drift(raw: RawScan) -> LampDrift | None:
-    """What the monitors of a scan tell about its points; None where there are fewer than two."""
+    """What the monitors of a scan tell about its points; None where there are fewer than two.
+
+    Level and tilt are linear in time between two monitors of the session in which a point was taken, and constant
+    beyond its first and last. Raises `CalibrationError` where the monitors are saturated or a point has no spectrum.
+    """
     if len(raw.monitors) < 2:
         return None
     levels, u_counts = _levels(raw)
@@ -135,6 +139,7 @@ def lamp_between(scans: list[RawScan]) -> LampBetween | None:
     """Change of the lamp from the first monitor of the first of successive `scans` to the first of the last one.
 
     A scan between them that has no monitors makes the pause longer. None where the first or the last has too few.
+    Raises as `lamp_drift`.
     """
     drifts = [lamp_drift(scan) for scan in scans]
     if drifts[0] is None or drifts[-1] is None:

@@ -51,7 +51,10 @@ _WHY = {
 
 @dataclass(frozen=True)
 class Batches:
-    """What decides the directions of one scan."""
+    """What decides the directions of one scan.
+
+    Methods raise `CalibrationError` where the points that were measured cannot be calibrated, and `StoreError`.
+    """
 
     store: Store
     scan: Scan
@@ -149,7 +152,10 @@ class Batches:
 
 
 def batches(store: Store, scan: Scan, campaign: Campaign, spec: PlanSpec) -> Batches:
-    """What decides the directions of `scan`; the reference scan must be complete before a sample."""
+    """What decides the directions of `scan`; the reference scan must be complete before a sample.
+
+    Raises `CertificateError` and `CalibrationError` as `response`, and `StoreError`.
+    """
     known = None
     if scan.kind != "reference":
         reference = store.reference_scan(scan.id)

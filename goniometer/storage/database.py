@@ -193,7 +193,7 @@ class Database:
 
     @contextmanager
     def faults(self) -> Iterator[None]:
-        """Turn what the database or the disk refuses into this floor's errors."""
+        """Turn what the database or the disk refuses into a `StoreError`, e.g. `StoreBusy` or `StoreFull`."""
         try:
             yield
         except IntegrityError as error:
@@ -284,7 +284,7 @@ class Database:
 
 
 def shown_place(where: Path | str) -> str:
-    """What people call the database at `where`, without any password."""
+    """What people call the database at `where`, without any password; raises `StoreError` for what is no address."""
     url = _url(where)
     return str(url.database) if _is_file(url) else postgresql.shown(url)
 

@@ -66,7 +66,7 @@ class Derived(Catalogue):
             )
 
     def dataset(self, dataset_id: int) -> Dataset:
-        """A dataset, bit for bit as it was written; raises `NotInStore`."""
+        """A dataset, bit for bit as it was written; raises `NotInStore`, and `StoreError` where it is damaged."""
         row = self.row(select(tables.datasets).where(tables.datasets.c.id == dataset_id), f"dataset {dataset_id}")
         return to_dataset(row)
 

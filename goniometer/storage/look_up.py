@@ -188,7 +188,7 @@ def exposures_of(database: Database, point_id: int) -> list[int]:
 
 
 def exposure(database: Database, exposure_id: int) -> tuple[int, Exposure]:
-    """One exposure and the id of its scan; raises `NotInStore`."""
+    """One exposure and the id of its scan; raises `NotInStore`, `RawDamaged` and `ArchiveMissing`."""
     query = select(tables.exposures).where(tables.exposures.c.id == exposure_id)
     row = database.row(query, f"exposure {exposure_id}")
     return row.scan_id, whole_exposures(database, [row])[0]

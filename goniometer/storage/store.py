@@ -167,7 +167,7 @@ class Store(Campaigns):
     ) -> list[Exposure]:
         """All raw exposures of a scan that are of these kinds, in the order in which they were written.
 
-        With `points`, light of the points with these ids only.
+        With `points`, light of the points with these ids only. Raises `RawDamaged` and `ArchiveMissing`.
         """
         here = tables.exposures.c
         query = select(tables.exposures).where(here.scan_id == scan_id, here.kind.in_(kinds)).order_by(here.id)

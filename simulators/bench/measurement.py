@@ -72,7 +72,7 @@ def directions_of(alpha: float, incident: tuple[float, ...]) -> tuple[FloatArray
 
 
 def measure(specimen: Specimen | Surface, setup: Setup, seed: int, name: str = "simulated") -> Dataset:
-    """The dataset of one measurement; the same `seed` gives the same errors."""
+    """The dataset of one measurement; the same `seed` gives the same errors. Raises `OutOfRange` as `specimen_brdf`."""
     rng = np.random.default_rng([seed, 20230])
     theta_in, theta_out = directions_of(specimen.alpha, setup.incident)
     incidence = incidence_groups(theta_in, SAME_INCIDENCE)

@@ -140,8 +140,9 @@ class OpticalBench:
         return (self.mounted, self.spot) if self._repeat == 1 else (self.mounted, self.spot, self._repeat)
 
     def mount(self, material_name: str, spot: int = 0) -> None:
-        """Lay a material on the sample stage, so that `spot` of it is looked at; raises `UnknownMaterial`.
+        """Lay a material on the sample stage, so that `spot` of it is looked at.
 
+        Raises `UnknownMaterial` and `UnfitTable` as `simulators.materials.materials.material`.
         Spot 0 is the first place or azimuth, 1 another one, and so on; only inhomogeneous samples look different there.
         """
         self._lay(material(material_name), spot)

@@ -44,7 +44,10 @@ Tell = Callable[[str], None]
 
 
 def simulation_charts(name: str, field: HeightField, rounds: int, tell: Tell) -> list[Chart]:
-    """Charts for the surface `name`, as it is sampled: whether its pitch is fine enough is not asked here."""
+    """Charts for the surface `name`, as it is sampled: whether its pitch is fine enough is not asked here.
+
+    Raises `UnfitTopography` where heights are missing.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CoarseSampling)
         return [

@@ -61,7 +61,7 @@ class Axis:
             self._target = target
 
     def home(self) -> None:
-        """Begin to move to the reference mark at 0 degrees."""
+        """Begin to move to the reference mark at 0 degrees. Raises `ValueError` where that lies outside `limits`."""
         with self._lock:
             self.move(0.0)
             self._homing = True
@@ -117,7 +117,11 @@ class Axis:
 
 
 def _ramps_to(distance: float, velocity: float, acceleration: float) -> list[tuple[float, float]]:
-    """Ramps from rest to rest over `distance` degrees: seconds, degrees/s^2."""
+    """Ramps from rest to rest over `distance` degrees: seconds, degrees/s^2.
+
+    A ramp of t seconds reaches the speed a t and both together cover a t^2; what is left of the way is cruised at that
+    speed. On a short way the two meet in the middle, and `velocity` is never reached.
+    """
     ramp_time = min(velocity / acceleration, math.sqrt(abs(distance) / acceleration))
     cruise_time = (abs(distance) - acceleration * ramp_time**2) / (acceleration * ramp_time) if ramp_time else 0.0
     signed = math.copysign(acceleration, distance)

@@ -37,7 +37,7 @@ class Shift:
     threshold: float = 0.0
 
     def slope(self, directions: Directions) -> FloatArray:
-        """[...] 1/um."""
+        """[...] 1/um; raises `OutOfRange` for a negative sharpness."""
         return two_component_slope(directions, self.h, self.w, self.t_y, self.kappa, self.sharpness, self.threshold)
 
 

@@ -103,7 +103,10 @@ def surface_brdf(
     index: tuple[FloatArray, FloatArray],
     aperture: Aperture,
 ) -> FloatArray:
-    """[points, wavelengths] BRDF averaged over the aperture, 1/sr; `index` is that of aluminium at the wavelengths."""
+    """[points, wavelengths] BRDF averaged over the aperture, 1/sr; `index` is that of aluminium at the wavelengths.
+
+    Raises as `mean_brdf`.
+    """
     return mean_brdf(surface, through_aperture(theta_in, theta_out, aperture), aperture.weights, wavelengths, index)
 
 
@@ -117,6 +120,7 @@ def mean_brdf(
     """[points, wavelengths] mean with `weights` [nodes] of the BRDF at `directions` [points, nodes], 1/sr.
 
     Directions may lie anywhere, and are near each other for one point.
+    Raises `OutOfRange` for a dielectric's index below one.
     """
     eta = surface.eta
 

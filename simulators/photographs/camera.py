@@ -181,7 +181,10 @@ def scene(
 
 
 def fineness_for(field: HeightField, lens: Lens, lights: Sequence[Lighting]) -> Sampling:
-    """Whether `field` is fine enough for all that `lens` sees of it, and else by how much to refine it."""
+    """Whether `field` is fine enough for all that `lens` sees of it, and else by how much to refine it.
+
+    Raises `UnfitTopography` where heights are missing.
+    """
     vectors = [light.wave_vectors(lens) for light in lights]
     kx, kz = (np.concatenate([v[axis].ravel() for v in vectors]) for axis in (0, 2))
     smallest = min(float(window_of(lens).size(light.wavelengths).min()) for light in lights)

@@ -59,7 +59,8 @@ def take_series(
     """Photograph all angles of `taken` and the panel into `folder`; return the series file and the mean colours.
 
     The colours [angles, 3] are white-balanced and without noise, relative to a white panel at normal incidence. Each
-    frame is exposed as long as it needs; `done` is told how many are finished.
+    frame is exposed as long as it needs; `done` is told how many are finished. Raises `InputError` where the extra for
+    TIFFs is not installed.
     """
     shots, colours = [], []
     camera = response(taken.lights[0].wavelengths)
@@ -97,7 +98,7 @@ def take_series(
 def convergence(field: HeightField, taken: Scene, finer: Sequence[Lighting], sensor: Sensor) -> Convergence:
     """Of photographs of `field` as `taken`, against `finer` lights at some of the same angles; the worst of all.
 
-    Photographs that are dark are left out.
+    Photographs that are dark are left out. Raises as `scene`.
     """
     angles = [light.theta_in for light in taken.lights]
     better = scene(field, taken.lens, finer, taken.conductor, taken.kernel)

@@ -83,7 +83,10 @@ class Case:
 
 
 def case(regime: Regime, level: Level, model: str, seed: int) -> Case:
-    """The measurement of a `level` for the `model`, one of `SPECIMENS`; the same `seed` gives the same."""
+    """The measurement of a `level` for the `model`, one of `SPECIMENS`; the same `seed` gives the same.
+
+    Raises `OutOfRange` as `simulators.bench.measurement.measure`.
+    """
     specimen: Specimen | Surface = SPECIMENS[model]
     truth: dict[str, float] = {}
     described = model in level.described_by

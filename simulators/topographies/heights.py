@@ -62,7 +62,10 @@ def complete(field: HeightField) -> FloatArray:
 
 
 def levelled(field: HeightField) -> HeightField:
-    """Without its mean and, unless it is periodic, without its least-squares plane; missing heights stay missing."""
+    """Without its mean and, unless it is periodic, without its least-squares plane; missing heights stay missing.
+
+    Raises `UnfitTopography` where fewer than three heights are known.
+    """
     heights = field.heights_um
     measured = ~np.isnan(heights)
     if measured.sum() < 3:
@@ -122,7 +125,8 @@ def around(field: HeightField) -> FloatArray:
 def slopes(field: HeightField) -> FloatArray:
     """[cells along y, cells along x, 2 triangles, (dz/dx, dz/dy)] slopes of the triangles, pure numbers.
 
-    The first triangle of a cell is the one that has two corners in the row of lower index.
+    The first triangle of a cell is the one that has two corners in the row of lower index. Raises `UnfitTopography`
+    where heights are missing.
     """
     corner = around(field)
     along_x, along_y = np.diff(corner, axis=1), np.diff(corner, axis=0)
@@ -163,7 +167,8 @@ def autocorrelation(field: HeightField) -> FloatArray:
     """[y, x] of the heights about their mean, one at lag zero, which is in the middle: at [ny // 2, nx // 2].
 
     Of a periodic patch that around it; of another that of the overlap of the patch with itself (ISO 25178-2, Sal).
-    Lags go up to half the patch. NaN everywhere if the surface is flat.
+    Lags go up to half the patch. NaN everywhere if the surface is flat. Raises `UnfitTopography` where heights are
+    missing.
     """
     heights = complete(field)
     shape = heights.shape

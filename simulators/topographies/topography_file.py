@@ -50,7 +50,8 @@ def read_topography(path: Path) -> tuple[HeightField, dict[str, object]]:
     """The complete, levelled height map in a file, and how it was obtained, for the lineage of what is computed.
 
     Raises `DataFileError` for a file that cannot be read, that has no map of heights, or that leaves its units open,
-    and if SurfaceTopography, which reads all formats but .nms and .npz, is not installed.
+    and if SurfaceTopography, which reads all formats but .nms and .npz, is not installed; `UnfitTopography` for a map
+    of fewer than three heights.
     """
     try:
         content = read_bytes(path)

@@ -79,7 +79,8 @@ class Convergence:
 def variants(field: HeightField, times: int, setup: Setup, *, symmetric: bool) -> dict[str, FloatArray | None]:
     """BRDF [points, wavelengths] of a patch that was refined `times`, computed anew with each change; 1/sr.
 
-    None where the patch has too many points or is too small for that.
+    None where the patch has too many points or is too small for that. Raises `UnfitTopography` where heights are
+    missing, and otherwise as `averaged_brdf`.
     """
     wider = replace(setup, coherence=replace(setup.coherence, s_um=2 * setup.coherence.s_um))
     finest = 2 * times
@@ -105,7 +106,7 @@ def convergence(
 ) -> Convergence:
     """Of the mean of `brdf` [patches, points, wavelengths], of which the first few were `studied`.
 
-    `result` is what is published of them. Raises `FitError` where no spectrum has a slope.
+    `result` is what is published of them. Raises as `analysis.fits.local_fit.local_fit`.
     """
     part = brdf[: len(studied)].mean(axis=0)
     pairs: dict[str, tuple[FloatArray, FloatArray] | None] = {}

@@ -95,7 +95,10 @@ def diffraction_integral(
     ky: float = 0.0,
     precision: float = PRECISION,
 ) -> ComplexArray:
-    """What `direct_integral` returns, to about `precision` of its largest values, in a small fraction of the time."""
+    """What `direct_integral` returns, to about `precision` of its largest values, in a small fraction of the time.
+
+    Raises `UnfitTopography` where heights are missing.
+    """
     heights = complete(field)
     x, y = _middle_out(field)
     total = np.zeros(kx.size, dtype=np.complex128)

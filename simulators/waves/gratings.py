@@ -36,8 +36,8 @@ def sinusoidal_efficiencies(
     """Share of the light in each order of a perfect mirror with heights `amplitude_um` sin(2 pi x / period_um).
 
     (cos theta_out / cos theta_in) J_m(kz amplitude)^2, kz = (2 pi / wavelength) (cos theta_in + cos theta_out): a thin
-    phase grating in the generalised Harvey-Shack theory. Zero for orders that do not propagate. Shapes as for
-    `order_angles`.
+    phase grating in the generalised Harvey-Shack theory. Zero for orders that do not propagate. Shapes, and what is
+    raised, as for `order_angles`.
     """
     theta_out = order_angles(theta_in, orders, period_um, wavelengths)
     cos_i, cos_o = np.cos(np.radians(theta_in)), np.cos(np.radians(theta_out))
@@ -51,7 +51,8 @@ def binned_spectra(
     """[bins, wavelengths] share of gratings with `periods_um` [gratings] that send `order` between two of `edges`.
 
     `edges` [bins + 1] are angles theta_out in degrees, ascending: a detector that moves in steps of its own aperture
-    over many gratings of different spacing (paper, Fig. 7b). `theta_in` is in degrees, `wavelengths` in nm.
+    over many gratings of different spacing (paper, Fig. 7b). `theta_in` is in degrees, `wavelengths` in nm. Raises as
+    `order_angles`.
     """
     angles = order_angles(theta_in, np.array(float(order)), periods_um[:, None], wavelengths)
     counts = [np.histogram(angles[:, i], bins=edges)[0] for i in range(wavelengths.size)]

@@ -107,7 +107,10 @@ def choose_patches(
 
 
 def tiles(field: HeightField, count: int) -> list[HeightField]:
-    """`count` equal patches of a map, side by side; their shape is as near to square as `count` allows."""
+    """`count` equal patches of a map, side by side; their shape is as near to square as `count` allows.
+
+    None is periodic. Raises `InputError` where one would have fewer than two heights along a side.
+    """
     rows = next(n for n in range(isqrt(count), 0, -1) if count % n == 0)
     columns = count // rows
     ny, nx = field.heights_um.shape[0] // rows, field.heights_um.shape[1] // columns
@@ -122,7 +125,7 @@ def tiles(field: HeightField, count: int) -> list[HeightField]:
 
 def fine_enough(field: HeightField, setup: Setup) -> tuple[HeightField, int, Sampling]:
     """`field` refined as `setup` needs it, how many times, and its sampling, which is insufficient only at
-    `MOST_POINTS`. Raises `UnfitTopography` where heights are missing."""
+    `MOST_POINTS`. Raises `UnfitTopography` where heights are missing and `InputError` as `scattering_vectors`."""
     vectors = scattering_vectors(setup.theta_in, setup.theta_out, setup.wavelengths)
     window = float(setup.coherence.size(setup.wavelengths).min())
     most = max(1, isqrt(MOST_POINTS // field.heights_um.size))
@@ -136,7 +139,10 @@ def fine_enough(field: HeightField, setup: Setup) -> tuple[HeightField, int, Sam
 
 
 def average(field: HeightField, setup: Setup, reach: tuple[float, float] | None = None) -> Averaged:
-    """Of `field` as it is sampled, for `setup` and for kz between the two of `reach`, 1/um, where given."""
+    """Of `field` as it is sampled, for `setup` and for kz between the two of `reach`, 1/um, where given.
+
+    Raises `InputError` as `scattering_vectors` and `UnfitTopography` as `power_spectrum`.
+    """
     vectors = scattering_vectors(setup.theta_in, setup.theta_out, setup.wavelengths)
     window = float(setup.coherence.size(setup.wavelengths).min())
     kz = np.append(vectors[1], reach or ())
@@ -145,7 +151,7 @@ def average(field: HeightField, setup: Setup, reach: tuple[float, float] | None 
 
 
 def seen(mean: Averaged, setup: Setup, *, symmetric: bool) -> FloatArray:
-    """[points, wavelengths] BRDF of one patch, 1/sr; see `Patches.symmetric`."""
+    """[points, wavelengths] BRDF of one patch, 1/sr; see `Patches.symmetric`. Raises as `averaged_brdf`."""
     sides = (1, -1) if symmetric else (1,)
     found = [
         averaged_brdf(

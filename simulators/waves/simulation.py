@@ -84,7 +84,8 @@ def simulate(
 
     With a `multiple_seed`, light that is reflected more than once is added from rays of this seed, and `multiple_shift`
     is the slope of its shift in 1/um, by default that of `simulators.waves.multiple_reflection`. Raises
-    `UnfitTopography`, `OutOfRange` beyond the conductor's table and `FitError` where no spectrum has a slope.
+    `UnfitTopography`, `InputError` for fewer than four patches or directions at the horizon, `OutOfRange` beyond the
+    conductor's table and `FitError` where no spectrum has a slope.
     """
     count = len(patches.make)
     seeds = [None if multiple_seed is None else multiple_seed + i for i in range(count)]

@@ -86,7 +86,10 @@ class PhaseScreen:
     """The grid begins at this multiple of its spacing."""
 
     def block(self, along: tuple[int, int], across: tuple[int, int], kz: float) -> Harmonic:
-        """[along, across] d_b of the harmonics from the first to the last of each, at `kz` in 1/um."""
+        """[along, across] d_b of the harmonics from the first to the last of each, at `kz` in 1/um.
+
+        Raises `InputError` for harmonics or a `kz` beyond those that the screen has.
+        """
         first = floor(kz / self.kz_step) - (_TAPS // 2 - 1)
         taps = first + np.arange(_TAPS)
         distance = kz / self.kz_step - taps

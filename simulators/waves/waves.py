@@ -51,6 +51,7 @@ def scattering_vectors(
     """(kx, kz) [points, wavelengths] in 1/um of directions [points] in degrees at `wavelengths` in nm.
 
     kx = (2 pi / wavelength) (sin theta_out - sin theta_in), kz = (2 pi / wavelength) (cos theta_in + cos theta_out).
+    Raises `InputError` for directions at or below the horizon.
     """
     horizon = max(float(np.abs(theta_in).max()), float(np.abs(theta_out).max()))
     if horizon >= 90:
@@ -88,7 +89,8 @@ def patch_brdf(
     """What one coherence window at `centre_um` (x, y) sees of `field`, speckle included; by default in its middle.
 
     Directions [points] in degrees, wavelengths in nm, ascending; without a `conductor` the mirror is perfect. Warns of
-    `CoarseSampling`. Raises `UnfitTopography` where heights are missing and `OutOfRange` beyond the conductor's table.
+    `CoarseSampling`. Raises `UnfitTopography` where heights are missing, `InputError` as `scattering_vectors` and
+    `OutOfRange` beyond the conductor's table.
     """
     kx, kz = scattering_vectors(theta_in, theta_out, wavelengths)
     sizes = coherence.size(wavelengths)
@@ -108,7 +110,8 @@ def averaged(
     """Averages `field` over all places of the window, for directions and wavelengths up to those given.
 
     Directions [points] in degrees, wavelengths in nm; warns of `CoarseSampling`. Raises `UnfitTopography` where heights
-    are missing, or where the window is too large for a field that is not periodic.
+    are missing, or where the window is too large for a field that is not periodic, and `InputError` as
+    `scattering_vectors`.
     """
     kx, kz = scattering_vectors(theta_in, theta_out, wavelengths)
     smallest = float(coherence.size(wavelengths).min())

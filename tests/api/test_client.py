@@ -4,8 +4,10 @@ import asyncio
 import json
 import runpy
 import socket
+import sqlite3
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import h5py
@@ -19,7 +21,7 @@ from api.bodies.jobs import ExportAsked, HowAsked, ImportAsked
 from api.call import Call
 from api.client import AsyncClient, Client, Event, JobFailed, Refused, TimedOut, Unreachable
 from api.errors import Conflict, Unauthorised
-from goniometer.errors import InputError, NotInStore
+from goniometer.errors import InputError, NotInStore, StoreError
 from tests.served import Served, served
 
 pytestmark = pytest.mark.slow
@@ -81,6 +83,27 @@ def test_what_the_service_refuses_is_the_exception_of_the_same_work_here(bench: 
         stranger(calls.about())
     with Client("http://127.0.0.1:9", token) as nobody, pytest.raises(Unreachable, match="goniometer serve"):
         nobody(calls.about())
+
+
+def test_a_script_that_reads_raw_counts_catches_a_damaged_exposure_as_it_does_here(
+    bench: tuple[Served, str, Path],
+) -> None:
+    service, token, folder = bench
+    connection = sqlite3.connect(folder / "goniometer.db", isolation_level=None)
+    with closing(connection) as outside, Client(service.url, token) as client:
+        before = client(calls.counts(1))
+        (counts,) = outside.execute("SELECT counts FROM exposures WHERE id = 1").fetchone()
+        outside.execute("DROP TRIGGER exposures_no_update")
+        outside.execute("UPDATE exposures SET counts = zeroblob(length(counts)) WHERE id = 1")
+        try:
+            with pytest.raises(StoreError, match="Exposure 1 is not as it was written") as refused:
+                client(calls.counts(1))
+        finally:
+            outside.execute("UPDATE exposures SET counts = ? WHERE id = 1", (counts,))
+        np.testing.assert_array_equal(client(calls.counts(1)), before)
+    cause = refused.value.__cause__
+    assert isinstance(cause, Refused)
+    assert (cause.problem.type, cause.path) == ("urn:goniometer:raw-damaged", "/api/exposures/1")
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,11 @@ import pytest
 
 from api.bench import lease, queue
 from api.bench.lease import Watcher, read_lease, release_lease, renew_lease, take_lease, take_up_stop
-from api.bench.link import error_named
 from api.errors import Conflict
-from drivers.errors import DeviceFault
 from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.errors import CampaignError, InputError, NotInStore, StoreBusy
 from goniometer.storage.records import now
 from goniometer.storage.store import Store
-from simulators.errors import UnknownMaterial
 
 
 @pytest.fixture
@@ -220,11 +217,3 @@ def test_a_campaign_stays_on_its_bench_and_a_killed_run_there_is_not_ended_from_
 def test_a_name_that_cannot_be_one_of_a_bench_is_refused(database: Path | str) -> None:
     with pytest.raises(InputError, match="lower-case"):
         Store.open(database, "../left")
-
-
-@pytest.mark.parametrize(
-    "raised", [NotInStore("no scan 7"), Conflict("a scan runs"), DeviceFault("stage stuck"), UnknownMaterial("clay")]
-)
-def test_what_the_bench_refuses_keeps_its_kind_on_the_way_to_who_asked(raised: Exception) -> None:
-    answered = error_named(type(raised).__name__, str(raised))
-    assert (type(answered), str(answered)) == (type(raised), str(raised))
