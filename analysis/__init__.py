@@ -10,6 +10,7 @@ Mitsuba                 mitsuba
 speed against accuracy  costs, tradeoff
 figures                 figures
 pages                   reports
-what all rooms share    results, colour, photo_statistics, choices, wording
+photographs             photo_statistics
+what all rooms share    results, colour, choices, wording, strict_json
 what can go wrong       errors
 """

@@ -27,6 +27,20 @@ BRDF_MODELS = (
 MODELS = ("local", "global", "global-two-component", *BRDF_MODELS)
 """Names of all models that can be fitted."""
 
+MODEL_NAMES = {
+    "local": "Local fit",
+    "global": "Global model",
+    "global-two-component": "Global model, two components",
+    "constant-slope": "Constant slope",
+    "cook-torrance": "Cook-Torrance",
+    "cook-torrance-shift": "Cook-Torrance with shift",
+    "two-component": "Cook-Torrance, two components",
+    "dielectric": "Dielectric",
+    "dielectric-shift": "Dielectric with shift",
+    "dielectric-two-component": "Dielectric, two components",
+}
+"""How a person reads the name of a model."""
+
 USUAL_ERROR, USUAL_COLOUR_ERROR = 0.02, 0.5
 """How far a file for renderers may be from its model: relative, and dE00."""
 

@@ -100,7 +100,7 @@ class ModelFit:
     """A model fitted to all points at once."""
 
     model: str
-    """One of `analysis.fits.by_name.MODELS`, "local" excepted."""
+    """One of `analysis.choices.MODELS`, "local" excepted."""
     equation: str
     """The equation in words of the paper, e.g. "f = shift F G D / (4 cos_i cos_o), Eq. 7"."""
     parameters: tuple[Parameter, ...]

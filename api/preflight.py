@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from api.results.derive import slug
 from api.settings import InstrumentSettings
+from api.written import slug
 from goniometer.bench.safety import Forbidden, grown, raised
 from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.campaigns.material_file import Content, material_file

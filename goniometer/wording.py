@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a file, in the words of the person who wrote it."""
+"""Texts from outside: names that can be shown, nothing that commands a terminal, and what pydantic finds wrong."""
 
 import difflib
 import unicodedata

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.figures.page import MODEL_NAMES
+from analysis.choices import MODEL_NAMES
 from analysis.figures.panels import line_colours
 from analysis.figures.svg import new_axes, style, to_svg
 from analysis.results import ModelFit

@@ -7,20 +7,6 @@ from pathlib import Path
 
 from drivers.arrays import FloatArray
 
-MODEL_NAMES = {
-    "local": "Local fit",
-    "global": "Global model",
-    "global-two-component": "Global model, two components",
-    "constant-slope": "Constant slope",
-    "cook-torrance": "Cook-Torrance",
-    "cook-torrance-shift": "Cook-Torrance with shift",
-    "two-component": "Cook-Torrance, two components",
-    "dielectric": "Dielectric",
-    "dielectric-shift": "Dielectric with shift",
-    "dielectric-two-component": "Dielectric, two components",
-}
-"""How a person reads the name of a model."""
-
 
 def figure(panels: list[str], caption: str, kind: str = "") -> str:
     """Panels of SVG side by side, or one below another, with a caption of HTML."""

@@ -24,7 +24,7 @@ def analyse(
     distribution: Distribution = "ggx",
     weight: Weight = "none",
 ) -> SampleAnalysis:
-    """Local fit and `models` (names of `analysis.fits.by_name.MODELS`), with their verdicts and colour differences.
+    """Local fit and `models` (names of `analysis.choices.MODELS`), with their verdicts and colour differences.
 
     `conductor` is aluminium unless given; `engine`, `distribution` and `weight` as in `analysis.fits.brdf_fit`. The
     global model describes normalised spectra: for its colour difference, every point takes its scale from the local

@@ -7,7 +7,6 @@ The refractive index is part of the file, so that a model does not change when a
 
 import json
 import math
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -16,7 +15,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from analysis.errors import ExportError
 from analysis.fits.misfit import PARTS_OF_FITS
 from analysis.fits.noise import flag_words
 from analysis.fits.stored_fit import StoredFit
@@ -31,6 +29,7 @@ from analysis.results import (
     SampleAnalysis,
     Verdict,
 )
+from analysis.strict_json import strict_json
 from goniometer.datasets.dataset import MEANING, Dataset
 from goniometer.errors import InputError
 from goniometer.geometry import Geometry
@@ -44,8 +43,6 @@ _NOTE = (
     f"(coverage factor 1) by {', '.join(PARTS_OF_FITS)}; angles in degrees, theta_out signed with the mirror direction "
     "at +theta_in, wavelengths in nm, slopes in 1/um, BRDF in 1/sr; directions that the detector blocks are left out"
 )
-
-_LINE_BREAK = re.compile(r"\s*\n\s*")
 
 
 def fit_to_json(fit: ModelFit, dataset: Dataset, differences: ColourDifferences, conductor: Conductor) -> str:
@@ -313,28 +310,4 @@ def _with_nan(value: Any) -> Any:
         return {key: _with_nan(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_with_nan(item) for item in value]
-    return value
-
-
-def strict_json(document: dict[str, Any]) -> str:
-    """JSON without NaN or infinities (see above), a list of numbers on one line so that a person can scroll by.
-
-    Raises `ExportError` for content that JSON does not know.
-    """
-    try:
-        text = json.dumps(_without_non_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
-    except TypeError as fault:
-        raise ExportError(f"The content cannot be written as JSON: {fault}.") from fault
-    # a line break never stands inside a JSON string, so this touches lists only
-    return re.sub(r"\[\n\s*([^\[\]{}]*?)\s*\n\s*\]", lambda list_: f"[{_LINE_BREAK.sub(' ', list_[1])}]", text) + "\n"
-
-
-def _without_non_finite(value: Any) -> Any:
-    """The same structure with NaN and infinities in their written form."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    if isinstance(value, dict):
-        return {key: _without_non_finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_non_finite(item) for item in value]
     return value

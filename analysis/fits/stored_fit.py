@@ -22,7 +22,7 @@ class StoredFit:
     """A fit as it comes back from a file."""
 
     model: str
-    """One of `analysis.fits.by_name.MODELS`, "local" excepted."""
+    """One of `analysis.choices.MODELS`, "local" excepted."""
     equation: str
     engine: Engine
     distribution: Distribution | None

@@ -6,8 +6,9 @@ from typing import Literal
 
 import numpy as np
 
+from analysis.choices import MODEL_NAMES
 from analysis.colour import display_encoded
-from analysis.figures.page import MODEL_NAMES, bullets, figure, image_panel
+from analysis.figures.page import bullets, figure, image_panel
 from analysis.figures.panels import SEQUENCE
 from analysis.figures.svg import INK, new_axes, style, to_svg
 from analysis.mitsuba.verify import Verification, cheaper

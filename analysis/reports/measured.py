@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from analysis.choices import MODEL_NAMES
 from analysis.figures import panels
 from analysis.figures.filled import STEP
-from analysis.figures.page import MODEL_NAMES, bullets, figure
+from analysis.figures.page import bullets, figure
 from analysis.figures.shown_colours import exposure_of
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words

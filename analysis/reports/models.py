@@ -4,11 +4,11 @@ from html import escape
 
 import numpy as np
 
-from analysis.choices import BRDF_MODELS
+from analysis.choices import BRDF_MODELS, MODEL_NAMES
 from analysis.figures import panels
 from analysis.figures.albedo import albedo_curves
 from analysis.figures.notation import roughly, uncertainty, with_uncertainty
-from analysis.figures.page import MODEL_NAMES, figure
+from analysis.figures.page import figure
 from analysis.figures.shown_colours import exposure_of
 from analysis.fits.misfit import PARTS_OF_FITS
 from analysis.reflectance.distributions import lobe_width

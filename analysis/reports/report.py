@@ -12,8 +12,9 @@ import numpy as np
 
 from analysis.bsdf.error import LARGEST_TESTED_ANGLE
 from analysis.bsdf.export import BsdfReport
+from analysis.choices import MODEL_NAMES
 from analysis.errors import ExportError
-from analysis.figures.page import MODEL_NAMES, bullets, page
+from analysis.figures.page import bullets, page
 from analysis.reports.measured import measured_chapter, shift_chapter
 from analysis.reports.models import models_chapter
 from analysis.reports.quality import budget_chapter, quality_chapter, warnings

@@ -17,10 +17,10 @@ from api.bodies.bench import Prompt, Running, Span
 from api.errors import Conflict
 from api.mount_request import mount_request
 from api.preflight import preflight
-from api.results.derive import slug
 from api.results.fitting import Fits, fitting
 from api.service import measure, mounting
 from api.settings import InstrumentSettings
+from api.written import slug
 from drivers.errors import DriverError
 from goniometer.errors import CampaignError, GoniometerError, NotInStore, RunAborted, StoreError
 from goniometer.scans.progress import Progress

@@ -45,7 +45,7 @@ def chosen_dataset(store: Store, name: str) -> int:
 
 def emit(content: dict[str, Any]) -> None:
     """Print one JSON object on stdout, strict as the files are."""
-    from analysis.fits.fit_json import strict_json
+    from analysis.strict_json import strict_json
 
     sys.stdout.write(strict_json(content))
 

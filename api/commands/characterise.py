@@ -14,7 +14,7 @@ from api.commands.logged import Logged
 from api.terminal import confirm, stderr, stdout, wait
 
 if TYPE_CHECKING:
-    from api.bench.characterise import Found
+    from api.characterise import Found
     from goniometer.bench.instrument import Instrument
     from goniometer.certificates.certificate import PanelCertificate
     from goniometer.characterisation.characterise import Mount, Piece
@@ -151,7 +151,7 @@ def _characterise(
     as_json: bool,
 ) -> None:
     """Run a measurement, keep its result, tell it, and draw it."""
-    from api.bench.characterise import characterise, check_figure, content, instrument_lines, lines, write_figure
+    from api.characterise import characterise, check_figure, content, instrument_lines, lines, write_figure
     from api.settings import load_instrument
     from goniometer.constants import BenchData
     from goniometer.storage.store import Store

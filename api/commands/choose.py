@@ -37,11 +37,12 @@ def choose_command(
     as_json: AsJson = False,
 ) -> None:
     """The simplest model whose colours in a scene stay within a tolerance, and why each cheaper one does not do."""
-    from analysis.fits.fit_json import strict_json
     from analysis.reports.choose import choice_body, summary, verified_lines
     from analysis.scenes.asked import scene_weights
+    from analysis.strict_json import strict_json
     from api.results.choose import choice_content, choose_model, first_pass, mitsuba_is_there
-    from api.results.derive import write_rung, write_text
+    from api.results.derive import write_rung
+    from api.written import write_text
 
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)

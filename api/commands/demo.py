@@ -4,9 +4,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from api.results.derive import make_folder
 from api.results.outcome import SampleOutcome, outcomes
 from api.service import Watch, run
+from api.written import make_folder
 from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.storage.store import Store
 

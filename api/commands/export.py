@@ -14,7 +14,7 @@ from api.commands.logged import Logged
 from api.terminal import stdout
 
 if TYPE_CHECKING:
-    from api.results.derive import Export
+    from api.written import Export
 
 _ABOUT = "; ".join(f"{name}: {about}" for name, about in WRITTEN.items())
 

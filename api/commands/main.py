@@ -128,10 +128,10 @@ def run_command(
     as_json: AsJson = False,
 ) -> None:
     """Run a campaign, or resume it where it stood."""
-    from api.results.derive import slug
     from api.results.outcome import STATED, outcomes
     from api.service import Watch, run
     from api.settings import load_instrument
+    from api.written import slug
     from goniometer.campaigns.campaign_file import load_campaign
     from goniometer.storage.store import Store
 
@@ -212,8 +212,8 @@ def plan(
 ) -> None:
     """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
     from api.preview import drawing, preview
-    from api.results.derive import write_text
     from api.settings import load_instrument
+    from api.written import write_text
     from goniometer.campaigns.campaign_file import load_campaign
     from goniometer.plans.plan_spec import ORDINARY
     from goniometer.scans.duration import DEAD_TIME

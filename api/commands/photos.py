@@ -37,7 +37,7 @@ def photos(
     """Mean colours, redness and speckle of macro photographs under light from many angles."""
     from analysis.photo_statistics import photo_statistics
     from analysis.reports.photographs import photo_page, photo_remarks
-    from api.results.derive import make_folder, write_text
+    from api.written import make_folder, write_text
     from goniometer.photographs.photos import read_series
 
     read = [read_series(file, inset) for file in series]

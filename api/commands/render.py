@@ -42,11 +42,11 @@ def render_command(
     as_json: AsJson = False,
 ) -> None:
     """Render Cook-Torrance without and with shift side by side, and compare their colours and render times."""
-    from analysis.figures.page import MODEL_NAMES
+    from analysis.choices import MODEL_NAMES
     from analysis.mitsuba.render import SEEDS
     from analysis.reports.render import comparison_body, comparison_lines, time_line
-    from api.results.derive import slug
     from api.results.render import render_dataset
+    from api.written import slug
 
     store = existing(database)
     dataset_id = chosen_dataset(store, dataset)

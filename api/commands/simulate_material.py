@@ -29,7 +29,8 @@ def material_command(
     as_json: AsJson = False,
 ) -> None:
     """Write the BRDF of any dataset as a material that a campaign can lay on the simulated bench."""
-    from api.results.derive import slug, write_material
+    from api.results.derive import write_material
+    from api.written import slug
     from simulators.materials.tabulated_file import read_tabulated
 
     store = existing(database)

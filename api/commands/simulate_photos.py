@@ -38,7 +38,7 @@ def photos_command(
     from rich.progress import Progress
 
     from analysis.reflectance.fresnel import load_conductor
-    from api.results.derive import make_folder
+    from api.written import make_folder
     from simulators.photographs.camera import Sensor, fineness_for, lighting_for, scene
     from simulators.photographs.session import ANGLES, CHECKED, convergence, take_series
     from simulators.topographies.topography import topography

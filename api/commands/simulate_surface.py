@@ -46,9 +46,9 @@ def surface_command(
     as_json: AsJson = False,
 ) -> None:
     """Make or read surfaces and tell their roughness after ISO 25178, with the paper's beside it."""
-    from api.results.derive import make_folder, write_file
     from api.simulated.surface_facts import described, how_made, remark
     from api.simulated.surface_page import one_surface, several_surfaces, title
+    from api.written import make_folder, write_file
     from simulators.topographies.topography import topography
     from simulators.topographies.topography_file import write_topography
 

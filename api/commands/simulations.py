@@ -11,7 +11,7 @@ from goniometer.errors import InputError
 from simulators.choices import PITCH_UM, SIZE
 
 if TYPE_CHECKING:
-    from api.results.derive import Export
+    from api.written import Export
     from drivers.arrays import FloatArray
     from simulators.computed import Computed
 
@@ -68,7 +68,7 @@ def store_computed(database: Path | str, computed: Computed) -> int:
 def write_page(path: Path, title: str, body: list[str]) -> Export:
     """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
     from analysis.figures.page import titled_page
-    from api.results.derive import make_folder, write_text
+    from api.written import make_folder, write_text
 
     make_folder(path.resolve().parent)
     return write_text("page", path, titled_page(title, body))

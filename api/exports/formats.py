@@ -10,9 +10,9 @@ from pathlib import Path
 from analysis.bsdf.search import Budget
 from api.exports.bluesky import bluesky_lines
 from api.exports.package import write_package
-from api.results.derive import Export, write_bytes, write_text
 from api.results.products import usual_path, write_fits, write_mitsuba
 from api.results.render import write_plugin_scene
+from api.written import Export, write_bytes, write_text
 from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError, OptionError
 from goniometer.files.bird_json import bird_json

@@ -13,8 +13,8 @@ from typing import Any
 from analysis.bsdf.search import USUAL_BUDGET
 from analysis.errors import AnalysisError
 from api.exports.texts import Part, Published, texts
-from api.results.derive import Export, slug, write_bytes
 from api.results.products import write_dataset_report, write_fits, write_mitsuba
+from api.written import Export, slug, write_bytes
 from goniometer.errors import InputError, StoreFull
 from goniometer.files.bird_json import bird_json
 from goniometer.files.bird_metadata import bird_metadata

@@ -13,8 +13,8 @@ from api.bodies.jobs import (
     TradeoffArguments,
 )
 from api.exports.formats import FORMATS
+from api.jobs.foreign_scene import check_foreign_scene
 from api.results.certificates import known_certificate
-from api.results.foreign_scene import check_foreign_scene
 from api.results.products import conductor_name
 from api.results.quality import settings_of
 from goniometer.errors import InputError

@@ -27,7 +27,6 @@ from api.exports.formats import FORMATS, Options, export_dataset
 from api.jobs.uploads import uploaded
 from api.results.certificates import known_certificate
 from api.results.choose import choice_content, choice_pictures, choose_model, mitsuba_is_there
-from api.results.derive import Export, make_folder, slug, write_text
 from api.results.imports import Request, imported_file
 from api.results.products import HowToFit, fit_dataset, report_dataset
 from api.results.quality import quality, settings_of
@@ -35,6 +34,7 @@ from api.results.stability import TITLE as STABILITY
 from api.results.stability import stability_body, stability_content
 from api.results.tradeoff import TITLE as TRADEOFF
 from api.results.tradeoff import chapters, charts
+from api.written import Export, make_folder, slug, write_text
 from goniometer.certificates.certificate import Override
 from goniometer.storage.store import Store
 from simulators.choices import METHODS

@@ -21,7 +21,7 @@ from time import monotonic
 
 from pydantic import BaseModel
 
-from analysis.fits.fit_json import strict_json
+from analysis.strict_json import strict_json
 from api.bench.link import Link
 from api.bodies.jobs import OPEN, State
 from api.errors import Conflict

@@ -4,7 +4,7 @@ import re
 import secrets
 from pathlib import Path
 
-from api.results.derive import make_folder
+from api.written import make_folder
 from goniometer.errors import InputError, NotInStore
 
 LARGEST = 128 << 20

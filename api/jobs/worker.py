@@ -6,7 +6,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from analysis.errors import AnalysisError
-from analysis.fits.fit_json import strict_json
+from analysis.strict_json import strict_json
 from api.executor import end_with_parent
 from api.jobs.kinds import KINDS, Work
 from api.jobs.retention import JOBS

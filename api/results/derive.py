@@ -1,10 +1,7 @@
 """What is made of a calibrated dataset: fits, files and a report; runs in a process of its own, anywhere."""
 
-import hashlib
-import os
-import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.sax.saxutils import quoteattr  # nosec B406 # it writes
@@ -12,7 +9,6 @@ from xml.sax.saxutils import quoteattr  # nosec B406 # it writes
 from analysis.bsdf.export import BsdfReport, report_content, report_lines, write_fit
 from analysis.bsdf.export import write_bsdf as write_model
 from analysis.bsdf.search import USUAL_BUDGET, Budget
-from analysis.errors import ExportError
 from analysis.fits.analyse import analyse
 from analysis.fits.fit_json import analysis_to_json, fit_to_json
 from analysis.mitsuba.run import bsdf_element
@@ -21,8 +17,8 @@ from analysis.reflectance.fresnel import load_conductor
 from analysis.reports.report import RunFacts, write_report
 from analysis.results import SampleAnalysis
 from analysis.scenes.ladder import Model
+from api.written import Export, make_folder, slug, write_bytes, write_file, write_text
 from goniometer.datasets.dataset import Dataset
-from goniometer.errors import StoreFull
 from simulators.materials.tabulated_file import write_tabulated
 
 REPORT = "report.html"
@@ -30,20 +26,6 @@ REPORT = "report.html"
 
 RENDERED_MODEL = "cook-torrance-shift"
 """The model that goes to the renderer when a scan ends."""
-
-
-@dataclass(frozen=True)
-class Export:
-    """A file that was written."""
-
-    file_format: str
-    """"json", "mitsuba", "report", "material", ..."""
-    path: Path
-    sha256: str
-    notes: tuple[str, ...] = ()
-    """What a person should know of it, whole sentences."""
-    facts: dict[str, object] = field(default_factory=dict)
-    """The same for a program, by name."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +74,6 @@ _CONTENT = {
 }
 
 
-def write_text(file_format: str, path: Path, text: str) -> Export:
-    """Write a text."""
-    return write_file(file_format, path, lambda part: part.write_text(text, encoding="utf-8"))
-
-
-def write_bytes(file_format: str, path: Path, content: bytes) -> Export:
-    """Write a content."""
-    return write_file(file_format, path, lambda part: part.write_bytes(content))
-
-
 def write_material(path: Path, dataset: Dataset) -> Export:
     """Write a dataset as the table of a material for the simulated bench."""
     return write_file("material", path, lambda part: write_tabulated(part, dataset))
@@ -137,31 +109,3 @@ def _with_scene(path: Path, write: Callable[[Path], BsdfReport]) -> tuple[BsdfRe
     notes = (*report_lines(report), shown)
     facts = report_content(report) | {"scene": str(beside[0].path)}
     return report, (replace(export, notes=notes, facts=facts), *beside)
-
-
-def slug(sample: str) -> str:
-    """A file name for a sample or a campaign: its letters and digits in lower case, joined by hyphens."""
-    return re.sub(r"[\W_]+", "-", sample.lower()).strip("-") or "sample"
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results; raises `StoreFull` where the disk refuses."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreFull(f"{folder} cannot be made: {error.strerror}; make room or name another folder.") from error
-
-
-def write_file(file_format: str, path: Path, write: Callable[[Path], object]) -> Export:
-    """Let `write` fill a file beside `path` and put it in place in one step, so that no half file is ever seen."""
-    path = path.resolve()
-    part = path.with_name(path.name + ".part")
-    try:
-        write(part)
-        os.replace(part, path)
-        content = path.read_bytes()
-    except (OSError, ExportError) as error:
-        part.unlink(missing_ok=True)
-        reason = error.strerror if isinstance(error, OSError) else str(error).rstrip(".")
-        raise StoreFull(f"{path} cannot be written ({reason}); make room there or name another place.") from error
-    return Export(file_format, path, hashlib.sha256(content).hexdigest())

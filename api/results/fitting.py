@@ -13,7 +13,8 @@ from analysis.reports.report import RunFacts
 from api.datasets import make_dataset, too_noisy
 from api.errors import ClusterError
 from api.executor import processes
-from api.results.derive import REPORT, Derived, Export, derive, slug, write_derived
+from api.results.derive import REPORT, Derived, derive, write_derived
+from api.written import Export, slug
 from goniometer.errors import CalibrationError, CertificateError, GoniometerError, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 from goniometer.plans.plan import plan_spec, uniform_grid_size

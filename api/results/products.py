@@ -17,9 +17,10 @@ from analysis.fits.loew import weight_of
 from analysis.reflectance.fresnel import load_conductor
 from analysis.reports.report import NO_RUN
 from analysis.results import SampleAnalysis
-from api.results.derive import RENDERED_MODEL, Export, slug, write_analysis_report, write_bsdf, write_text
+from api.results.derive import RENDERED_MODEL, write_analysis_report, write_bsdf
 from api.results.fitting import run_facts
 from api.results.outcome import STATED
+from api.written import Export, slug, write_text
 from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
 from goniometer.files.dataset_file import last_file

@@ -17,7 +17,7 @@ from analysis.figures.budget import (
 )
 from analysis.figures.notation import uncertainty, with_uncertainty
 from api.datasets import too_noisy
-from api.results.derive import Export, write_text
+from api.written import Export, write_text
 from goniometer.datasets.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction
 from goniometer.datasets.dataset import IN_FITS, MEANING, Check, Dataset, Flag
 from goniometer.errors import InputError

@@ -20,8 +20,8 @@ from analysis.reports.render import difference_picture, shown
 from analysis.results import ModelFit
 from analysis.scenes.ladder import Microfacet
 from api.choices import Through
-from api.results.derive import Export, make_folder, write_bytes, write_file
 from api.results.products import conductor_name, last_way
+from api.written import Export, make_folder, write_bytes, write_file
 from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
 from goniometer.storage.store import Store

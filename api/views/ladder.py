@@ -4,9 +4,8 @@ import json
 import math
 from typing import Any
 
-from analysis.choices import BRDF_MODELS, MODELS
+from analysis.choices import BRDF_MODELS, MODEL_NAMES, MODELS
 from analysis.figures.notation import roughly, with_uncertainty
-from analysis.figures.page import MODEL_NAMES
 from api.bodies.base import number
 from api.bodies.fits import Difference, FitRow, FittedModel, FittedParameter, Gain, Ladder
 from api.views.opened import Opened

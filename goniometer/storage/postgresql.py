@@ -98,7 +98,7 @@ def session_locks(engine: Engine, numbers: Sequence[tuple[int, bool]]) -> Iterat
 
 
 def is_held(connection: Connection, number: int, process: int | None = None) -> bool:
-    """Whether anybody holds a lock, or the `process` of the server that `session_lock` told."""
+    """Whether anybody holds a lock, or the `process` of the server that `session_locks` told."""
     by = "" if process is None else " AND pid = :process"
     return bool(connection.execute(text(_HELD + by), {"key": number, "process": process}).scalar_one())
 

@@ -22,7 +22,7 @@ from api.commands.main import main
 
 HEAVY = (
     "analysis.reports.photographs",
-    "api.bench.characterise",
+    "api.characterise",
     "api.results.choose",
     "api.commands.demo",
     "api.exports.formats",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from analysis.fits.fit_json import strict_json
+from analysis.strict_json import strict_json
 from analysis.tradeoff import charts_json
 from api.choices import Kind
 from api.results.choose import choice_content, choice_pictures, choose_model

@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from api.bench.characterise import instrument_lines, proposals
+from api.characterise import instrument_lines, proposals
 from api.commands.characterise import REQUESTS, ask_for, register
 from api.service import make_bench, simulated_settings
 from api.settings import InstrumentSettings, load_instrument

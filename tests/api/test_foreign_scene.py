@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.results.foreign_scene import check_foreign_scene
+from api.jobs.foreign_scene import check_foreign_scene
 from goniometer.errors import InputError
 
 SCENE = """

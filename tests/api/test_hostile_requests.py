@@ -13,9 +13,9 @@ import pytest
 from api.access.accounts import add_user
 from api.access.audit import entries
 from api.access.tokens import create_token
-from api.results.derive import write_text
 from api.web import patience
 from api.web.live import Live, open_live
+from api.written import write_text
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
 from tests.served import Served, served

@@ -20,8 +20,8 @@ from analysis.mitsuba.scene import read_mitsuba
 from api.commands.main import app
 from api.exports.formats import Options, export_dataset
 from api.inert_console import InertConsole
+from api.jobs.foreign_scene import check_foreign_scene
 from api.logs import log_to_stderr
-from api.results.foreign_scene import check_foreign_scene
 from api.results.imports import Request, imported_file
 from api.results.products import report_dataset
 from goniometer.campaigns.campaign_file import read_campaign

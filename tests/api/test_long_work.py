@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from analysis.fits.fit_json import strict_json
+from analysis.strict_json import strict_json
 from api import calls
 from api.access.accounts import add_user
 from api.access.tokens import create_token

@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from analysis.figures.page import png
-from analysis.fits.fit_json import strict_json
+from analysis.strict_json import strict_json
 from analysis.tradeoff import Axis, Chart, Choice, Use, charts_json
 from api.access.accounts import add_user
 from api.access.tokens import create_token

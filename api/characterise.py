@@ -16,10 +16,10 @@ from analysis.figures.characterisation import (
     wavelength_panels,
 )
 from analysis.figures.notation import with_uncertainty
-from analysis.fits.fit_json import strict_json
-from api.results.derive import Export, write_text
+from analysis.strict_json import strict_json
 from api.service import open_instrument, simulated_settings
 from api.settings import Family, InstrumentSettings
+from api.written import Export, write_text
 from goniometer.bench.instrument import Instrument
 from goniometer.characterisation.alignment import Alignment
 from goniometer.characterisation.characterise import Mount, Piece
