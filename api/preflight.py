@@ -15,7 +15,7 @@ from goniometer.certificates.certificate import NOMINAL_SRS99, Override
 from goniometer.certificates.certificate_file import certificate_csv, parse_certificate, read_certificate
 from goniometer.errors import CampaignError, GoniometerError
 from goniometer.geometry import LARGEST_ANGLE
-from goniometer.plans.plan import plan_spec, reference_points
+from goniometer.plans.plan_spec import plan_spec, reference_points
 from goniometer.plans.reach import check_plan
 from goniometer.radiometry.calibration import check_certificate
 from goniometer.radiometry.response import STANDARD

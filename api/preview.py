@@ -10,8 +10,15 @@ from goniometer.bench.route import Motion, travel
 from goniometer.campaigns.campaign import Campaign, Integration
 from goniometer.campaigns.conditions import Conditions
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import PlanSpec, blocked_ranges, first_points, plan_spec, reference_points, uniform_grid_size
-from goniometer.plans.plan_spec import ORDINARY
+from goniometer.plans.plan import first_points
+from goniometer.plans.plan_spec import (
+    ORDINARY,
+    PlanSpec,
+    blocked_ranges,
+    plan_spec,
+    reference_points,
+    uniform_grid_size,
+)
 from goniometer.scans.duration import DEAD_TIME, EARLIER, besides, expected, unknown_darks, unknown_exposure
 from goniometer.scans.exposure import once
 from goniometer.scans.prescan import cost

@@ -13,6 +13,7 @@ from goniometer.errors import InputError
 
 if TYPE_CHECKING:
     from api.settings import InstrumentSettings
+    from api.written import Export
     from goniometer.storage.store import Store
 
 DatasetName = Annotated[str, typer.Argument(help="Number of a dataset, or name of a sample.", show_default=False)]
@@ -25,6 +26,7 @@ DatabaseFile = Annotated[
 BenchName = Annotated[
     str | None, typer.Option("--bench", help="Name of the bench, where several use one database.", show_default=False)
 ]
+Page = Annotated[Path | None, typer.Option("--page", help="HTML page with the figures to write.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 DATABASE = "goniometer.db"
 
@@ -48,6 +50,15 @@ def emit(content: dict[str, Any]) -> None:
     from analysis.strict_json import strict_json
 
     sys.stdout.write(strict_json(content))
+
+
+def write_page(path: Path, title: str, body: list[str]) -> Export:
+    """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
+    from analysis.figures.page import titled_page
+    from api.written import make_folder, write_text
+
+    make_folder(path.resolve().parent)
+    return write_text("page", path, titled_page(title, body))
 
 
 def bench_of(named: str | None, settings: InstrumentSettings | None) -> str:

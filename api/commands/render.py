@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.choices import Through
-from api.commands.arguments import DATABASE, AsJson, DatabaseFile, DatasetName, chosen_dataset, emit, existing
-from api.commands.simulations import Page, write_page
+from api.commands.arguments import (
+    DATABASE,
+    AsJson,
+    DatabaseFile,
+    DatasetName,
+    Page,
+    chosen_dataset,
+    emit,
+    existing,
+    write_page,
+)
 from api.terminal import stdout
 
 if TYPE_CHECKING:

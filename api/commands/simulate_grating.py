@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from api.commands.arguments import AsJson, emit
+from api.commands.arguments import AsJson, Page, emit, write_page
 from api.commands.logged import Logged
-from api.commands.simulations import Page, store_computed, write_page
+from api.commands.simulations import store_computed
 from api.terminal import stdout
 from simulators.choices import Spread
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit
+from api.commands.arguments import DATABASE, AsJson, DatabaseFile, Page, emit, write_page
 from api.commands.logged import Logged
-from api.commands.simulations import Micro, Page, Pitch, Seed, Size, SurfaceName, series, store_computed, write_page
+from api.commands.simulations import Micro, Pitch, Seed, Size, SurfaceName, series, store_computed
 from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 

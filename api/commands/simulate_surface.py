@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.commands.arguments import AsJson, emit
-from api.commands.simulations import Micro, Page, Pitch, Seed, Size, write_page
+from api.commands.arguments import AsJson, Page, emit, write_page
+from api.commands.simulations import Micro, Pitch, Seed, Size
 from api.terminal import stdout
 from goniometer.errors import InputError
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit
+from api.commands.arguments import DATABASE, AsJson, DatabaseFile, Page, emit, write_page
 from api.commands.logged import Logged
-from api.commands.simulations import Micro, Page, Seed, SurfaceName, series, store_computed, write_page
+from api.commands.simulations import Micro, Seed, SurfaceName, series, store_computed
 from api.terminal import stderr, stdout
 from goniometer.errors import InputError
 from goniometer.geometry import LARGEST_ANGLE

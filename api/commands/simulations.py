@@ -11,7 +11,6 @@ from goniometer.errors import InputError
 from simulators.choices import PITCH_UM, SIZE
 
 if TYPE_CHECKING:
-    from api.written import Export
     from drivers.arrays import FloatArray
     from simulators.computed import Computed
 
@@ -29,7 +28,6 @@ Size = Annotated[
 Pitch = Annotated[float | None, typer.Option(min=0.01, help=f"Distance of its points, um, usually {PITCH_UM:g}.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the surface and of all that is random.")]
 Micro = Annotated[bool, typer.Option("--micro", help="Put 40 nm of roughness below the wavelength on it.")]
-Page = Annotated[Path | None, typer.Option("--page", help="HTML page with the figures to write.")]
 
 
 MOST_VALUES = 1000
@@ -63,12 +61,3 @@ def store_computed(database: Path | str, computed: Computed) -> int:
     from simulators.computed import computed_dataset
 
     return Store.open(database).add_dataset(None, computed_dataset(computed))
-
-
-def write_page(path: Path, title: str, body: list[str]) -> Export:
-    """Write a self-contained page of chapters of HTML, in the style of reports, under its title."""
-    from analysis.figures.page import titled_page
-    from api.written import make_folder, write_text
-
-    make_folder(path.resolve().parent)
-    return write_text("page", path, titled_page(title, body))

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.commands.arguments import AsJson, emit
-from api.commands.simulations import Page, write_page
+from api.commands.arguments import AsJson, Page, emit, write_page
 from api.terminal import stderr, stdout
 from simulators.choices import ABOUT, METHODS
 

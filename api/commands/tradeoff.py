@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from api.choices import Kind
-from api.commands.arguments import DATABASE, AsJson, DatabaseFile, chosen_dataset, emit, existing
-from api.commands.simulations import Page, write_page
+from api.commands.arguments import DATABASE, AsJson, DatabaseFile, Page, chosen_dataset, emit, existing, write_page
 from api.terminal import stderr, stdout
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from api.results.derive import REPORT, Derived, derive, write_derived
 from api.written import Export, slug
 from goniometer.errors import CalibrationError, CertificateError, GoniometerError, StoreFull
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.plans.plan import plan_spec, uniform_grid_size
+from goniometer.plans.plan_spec import plan_spec, uniform_grid_size
 from goniometer.storage.lineage import own_datasets
 from goniometer.storage.records import Scan
 from goniometer.storage.store import Store

@@ -19,7 +19,7 @@ from analysis.results import ColourDifferences
 from api.datasets import too_noisy
 from goniometer.campaigns.material_file import material_file
 from goniometer.datasets.dataset import MEANING, Dataset
-from goniometer.plans.plan import plan_spec, uniform_grid_size
+from goniometer.plans.plan_spec import plan_spec, uniform_grid_size
 from goniometer.storage.lineage import own_datasets
 from goniometer.storage.records import Scan
 from goniometer.storage.store import Store

@@ -20,8 +20,8 @@ from goniometer.campaigns.campaign import Campaign
 from goniometer.campaigns.campaign_file import read_campaign
 from goniometer.errors import CampaignError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import first_points, plan_spec, reference_points, uniform_grid_size
-from goniometer.plans.plan_spec import ORDINARY
+from goniometer.plans.plan import first_points
+from goniometer.plans.plan_spec import ORDINARY, plan_spec, reference_points, uniform_grid_size
 from goniometer.scans.duration import DEAD_TIME
 from goniometer.storage import look_up
 from goniometer.storage.look_up import CampaignRow

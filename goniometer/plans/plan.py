@@ -26,37 +26,14 @@ from goniometer.plans.plan_spec import (
     SAME,
     SMALLEST_BATCH,
     PlanSpec,
-    blocked_ranges,
     coarse,
     confirming,
     incident,
-    monitor_direction,
-    plan_spec,
-    reference_points,
     segments,
     uniform,
-    uniform_grid_size,
 )
 from goniometer.plans.refinement import Candidates, Errors, candidates, choose, expected_errors, total
 from goniometer.plans.sweep import Swept, searched, summits, unexplained
-
-__all__ = [
-    "Measured",
-    "PlanSpec",
-    "Reached",
-    "blocked_ranges",
-    "expected_total",
-    "first_points",
-    "interpolation",
-    "monitor_direction",
-    "next_points",
-    "plan_spec",
-    "reached",
-    "reference_points",
-    "segments",
-    "spot_points",
-    "uniform_grid_size",
-]
 
 BATCH = 2
 """Directions of a batch for each incident angle."""

@@ -20,7 +20,7 @@ from goniometer.bench.track import Passage
 from goniometer.campaigns.campaign import Campaign, Prescan
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import monitor_direction, plan_spec
+from goniometer.plans.plan_spec import monitor_direction, plan_spec
 from goniometer.radiometry.raw import Dark, RawScan
 from goniometer.scans.duration import DARKS, STRAY_SCANS, besides, unknown_darks, unknown_exposure
 from goniometer.scans.exposure import DarkSignal, detector_of, ladder, once, step_down, take

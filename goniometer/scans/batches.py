@@ -10,17 +10,8 @@ import numpy as np
 
 from goniometer.campaigns.campaign import Campaign
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import (
-    Measured,
-    PlanSpec,
-    Reached,
-    expected_total,
-    first_points,
-    next_points,
-    reached,
-    reference_points,
-    spot_points,
-)
+from goniometer.plans.plan import Measured, Reached, expected_total, first_points, next_points, reached, spot_points
+from goniometer.plans.plan_spec import PlanSpec, reference_points
 from goniometer.plans.sweep import Swept
 from goniometer.radiometry.calibration import band_values, certificate_of
 from goniometer.radiometry.raw import Dark, RawScan, Shot, read_raw

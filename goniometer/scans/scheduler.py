@@ -40,7 +40,7 @@ from goniometer.bench.instrument import Instrument
 from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import GeometryError, GoniometerError, ReferenceIncomplete, RunAborted, StoreError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import plan_spec
+from goniometer.plans.plan_spec import plan_spec
 from goniometer.plans.reach import check_plan
 from goniometer.radiometry.raw import RawScan, read_raw
 from goniometer.scans.auxiliary import Auxiliary, Darks

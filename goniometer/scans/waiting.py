@@ -17,7 +17,7 @@ from drivers.errors import DeviceTimeout
 from goniometer.bench.instrument import Instrument
 from goniometer.campaigns.campaign import Campaign
 from goniometer.errors import ConditionsUnmet
-from goniometer.plans.plan import monitor_direction, plan_spec
+from goniometer.plans.plan_spec import monitor_direction, plan_spec
 from goniometer.scans.auxiliary import Darks
 from goniometer.scans.exposure import Detector, once, take
 from goniometer.scans.progress import Waiting

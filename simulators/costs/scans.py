@@ -16,7 +16,8 @@ from drivers.arrays import FloatArray
 from goniometer.bench.route import Motion, ordered, travel
 from goniometer.geometry import Geometry
 from goniometer.interpolation.interpolant import Interpolant, condition, learn, predict_values
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, segments
+from goniometer.plans.plan import Measured, interpolation, next_points
+from goniometer.plans.plan_spec import PlanSpec, segments
 from goniometer.scans.duration import DEAD_TIME
 
 NOISE = 1e-3

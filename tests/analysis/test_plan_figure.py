@@ -5,7 +5,8 @@ from xml.etree import ElementTree
 import pytest
 
 from analysis.figures.plan import arm_view, polar_view
-from goniometer.plans.plan import PlanSpec, next_points
+from goniometer.plans.plan import next_points
+from goniometer.plans.plan_spec import PlanSpec
 
 SPEC = PlanSpec((0.0, 30.0, 60.0))
 SVG = "{http://www.w3.org/2000/svg}"

@@ -14,7 +14,8 @@ from goniometer.bench.route import Motion, travel
 from goniometer.geometry import Geometry
 from goniometer.interpolation.interpolant import predict_values
 from goniometer.plans.learning import learnt_from
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points
+from goniometer.plans.plan import Measured, interpolation, next_points
+from goniometer.plans.plan_spec import PlanSpec
 from goniometer.scans.duration import DEAD_TIME
 from simulators.costs.scans import process_of, uniform_directions
 from tests.benchmarks.figures import tell

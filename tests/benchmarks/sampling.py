@@ -22,7 +22,8 @@ from analysis.colour import delta_e_2000, xyz_weights
 from drivers.arrays import FloatArray
 from goniometer.bench.route import ordered
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
+from goniometer.plans.plan import Measured, interpolation, next_points, reached
+from goniometer.plans.plan_spec import PlanSpec, segments
 from simulators.costs.scans import (
     Read,
     bench_minutes,

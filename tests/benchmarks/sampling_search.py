@@ -19,7 +19,8 @@ import numpy as np
 from analysis.reflectance.directions import round_aperture
 from drivers.arrays import FloatArray
 from goniometer.interpolation.interpolant import predict_values
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, segments
+from goniometer.plans.plan import Measured, interpolation, next_points
+from goniometer.plans.plan_spec import PlanSpec, segments
 from goniometer.plans.sweep import Swept, averaged
 from tests.benchmarks.figures import tell
 from tests.goniometer.test_sweep import intervals

@@ -25,7 +25,8 @@ from analysis.scenes.scene import Scene
 from analysis.scenes.vertices import Vertices, display_for, to_pixels, xyz_of_vertices
 from drivers.arrays import FloatArray
 from goniometer.interpolation.interpolant import predict_values
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached
+from goniometer.plans.plan import Measured, interpolation, next_points, reached
+from goniometer.plans.plan_spec import PlanSpec
 from simulators.costs.scans import bench_minutes
 from tests.benchmarks.choose import CAMERA
 from tests.benchmarks.choose import SCENES as OF_CHOICE

@@ -9,7 +9,8 @@ import numpy as np
 from drivers.arrays import CountArray, FloatArray
 from goniometer.campaigns.campaign import Campaign
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import monitor_direction, next_points, plan_spec, reference_points
+from goniometer.plans.plan import next_points
+from goniometer.plans.plan_spec import monitor_direction, plan_spec, reference_points
 from goniometer.scans.exposure import ladder
 from goniometer.storage.records import Exposure, Point, Scan
 from goniometer.storage.store import Store

@@ -11,7 +11,8 @@ from drivers.errors import DeviceTimeout
 from goniometer.bench.safety import Forbidden
 from goniometer.campaigns.campaign import Campaign, Homogeneity, Integration, Monitor, OutgoingRange, Resolution, Sample
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import Measured, PlanSpec, monitor_direction, spot_points
+from goniometer.plans.plan import Measured, spot_points
+from goniometer.plans.plan_spec import PlanSpec, monitor_direction
 from goniometer.radiometry.calibration import calibrate_scan
 from goniometer.radiometry.raw import read_raw
 from goniometer.scans.exposure import DarkSignal, below_wanted, detector_of, take

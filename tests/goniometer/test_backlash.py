@@ -17,7 +17,7 @@ from goniometer.bench.route import approach, travel
 from goniometer.bench.safety import Forbidden, check_standing, grown, raised, safe_path
 from goniometer.errors import GeometryError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import PlanSpec
+from goniometer.plans.plan_spec import PlanSpec
 from goniometer.plans.reach import check_plan
 from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
 

@@ -10,7 +10,8 @@ from drivers.arrays import FloatArray
 from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.datasets.fill import Filled, fill, unmeasured
 from goniometer.geometry import BLOCKED_HALF_WIDTH
-from goniometer.plans.plan import PlanSpec, next_points
+from goniometer.plans.plan import next_points
+from goniometer.plans.plan_spec import PlanSpec
 from goniometer.uncertainty import ErrorSource, everywhere
 from simulators.materials.materials import SAMPLES, true_brdf
 from tests.benchmarks.sampling import measure

@@ -15,16 +15,11 @@ from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.geometry import Geometry
 from goniometer.interpolation.interpolant import predict_values
 from goniometer.plans.learning import learnt_from
-from goniometer.plans.plan import (
-    Measured,
+from goniometer.plans.plan import Measured, expected_total, first_points, interpolation, next_points, reached
+from goniometer.plans.plan_spec import (
     PlanSpec,
     blocked_ranges,
-    expected_total,
-    first_points,
-    interpolation,
-    next_points,
     plan_spec,
-    reached,
     reference_points,
     segments,
     uniform_grid_size,

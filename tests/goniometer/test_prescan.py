@@ -13,7 +13,7 @@ from goniometer.campaigns.campaign import Campaign, OutgoingRange, Prescan, Reso
 from goniometer.datasets.between import interpolate
 from goniometer.errors import CampaignError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import plan_spec
+from goniometer.plans.plan_spec import plan_spec
 from goniometer.radiometry.calibration import calibrate_scan, certificate_of
 from goniometer.radiometry.raw import read_raw
 from goniometer.radiometry.response import response

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from goniometer.bench.safety import Forbidden, check_standing, safe_path
 from goniometer.errors import ConfigurationError, GeometryError
 from goniometer.geometry import Geometry
-from goniometer.plans.plan import PlanSpec, reference_points
+from goniometer.plans.plan_spec import PlanSpec, reference_points
 from goniometer.plans.reach import check_plan
 
 LIMITS = ((0.0, 90.0), (-85.0, 170.0))

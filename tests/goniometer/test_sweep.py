@@ -5,7 +5,8 @@ import pytest
 
 from goniometer.geometry import Geometry
 from goniometer.interpolation.interpolant import predict_values
-from goniometer.plans.plan import Measured, PlanSpec, interpolation, next_points, reached, segments
+from goniometer.plans.plan import Measured, interpolation, next_points, reached
+from goniometer.plans.plan_spec import PlanSpec, segments
 from goniometer.plans.sweep import Swept, averaged, searched, summits, unexplained
 
 SPEC = PlanSpec((30.0,), tolerance=0.005, colour_tolerance=None)
