@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.figures.filled import STEP, at_nearest, draw_filled, filled_cells, filled_legend, hatch
-from analysis.figures.notation import with_uncertainty
+from analysis.figures.notation import superscript, with_uncertainty
 from analysis.figures.shown_colours import Exposure, shown_colours
 from analysis.figures.svg import INK, Cell, hex_colour, new_axes, style, to_svg
 from analysis.fits.by_name import fitted_slope
@@ -377,7 +377,7 @@ def _with_gap(centre: float, theta: FloatArray, *values: FloatArray) -> tuple[Fl
 
 def _power_of_ten(value: float, _position: object) -> str:
     """Tick of a logarithmic axis."""
-    return "10" + f"{round(np.log10(value))}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"10{superscript(round(np.log10(value)))}"
 
 
 def _spread(places: FloatArray, distance: float) -> FloatArray:
