@@ -29,9 +29,6 @@ SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#
 """Anchors of the line colours: told apart by blue against yellow, which colour-blind eyes keep, and all of a
 luminance that stands out against a white page and against a black one."""
 
-COVERAGE = COVERAGE_FACTOR
-"""Coverage factor of every band and error bar."""
-
 _MAP_LIMITS = (-90.0, 90.0)
 _MISSING = "#80808026"
 _LEAST_SIGNAL = (
@@ -233,11 +230,11 @@ def distributions(
             value = np.where(value > 0, value, np.nan)
             if is_hidden(dataset, angle):
                 theta, value, u_value = _with_gap(-angle, theta, value, u_value)
-            low = np.maximum(value - COVERAGE * u_value, 0.5 * value)
-            axes.fill_between(theta, low, value + COVERAGE * u_value, color=colour, alpha=0.25, linewidth=0)
+            low = np.maximum(value - COVERAGE_FACTOR * u_value, 0.5 * value)
+            axes.fill_between(theta, low, value + COVERAGE_FACTOR * u_value, color=colour, alpha=0.25, linewidth=0)
             axes.plot(theta, value, color=colour, linewidth=1.2, label=f"{angle:.0f}°")
             if filled is not None:
-                draw_filled(axes, filled, angle, wavelength, COVERAGE, colour)
+                draw_filled(axes, filled, angle, wavelength, colour)
         axes.set(yscale="log", xlim=_MAP_LIMITS, xticks=range(-90, 91, 30))
         axes.set(xlabel="reflected angle θ out / °", ylabel=f"BRDF at {wavelength:g} nm / (1/sr)")
         axes.yaxis.set_major_formatter(_power_of_ten)
@@ -298,7 +295,7 @@ def spectra(
     with style():
         figure, axes = new_axes(430, 300, right=62, top=22)
         for i, colour in enumerate(line_colours(chosen.size)):
-            low, high = measured[i] - COVERAGE * u[i], measured[i] + COVERAGE * u[i]
+            low, high = measured[i] - COVERAGE_FACTOR * u[i], measured[i] + COVERAGE_FACTOR * u[i]
             axes.fill_between(dataset.wavelengths, low, high, color=colour, alpha=0.4, linewidth=0)
             axes.plot(dataset.wavelengths, fitted[i], color=colour, linewidth=1.3)
         axes.axvline(local.lambda_n, color=INK, linewidth=0.6, alpha=0.5)
@@ -345,7 +342,7 @@ def slopes(dataset: Dataset, local: LocalFit, fit: ModelFit, name: str, other: M
             if other is not None:
                 axes.plot(theta, fitted_slope(other, directions), color=INK, linewidth=1.2, dashes=(4, 2))
             axes.errorbar(
-                dataset.theta_out[good], local.slope[good], COVERAGE * local.u_slope[good],
+                dataset.theta_out[good], local.slope[good], COVERAGE_FACTOR * local.u_slope[good],
                 fmt="o", color=SEQUENCE[0], markersize=2.6, elinewidth=0.8,
             )  # fmt: skip
             axes.plot(

@@ -9,6 +9,7 @@ from analysis.figures.shown_colours import exposure_of
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
 from goniometer.datasets.between import FEWEST
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from goniometer.datasets.dataset import Dataset
 from goniometer.datasets.fill import TELLS, Filled, fill, unmeasured
 
@@ -47,7 +48,7 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
             [panels.distributions(dataset, "distributions", filled=filled)],
             f"BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are {named.done}, lines "
             "are read between them by a process that knows how well it can. Bands are "
-            f"expanded uncertainties (coverage factor {panels.COVERAGE}) and mostly thinner than the lines. "
+            f"expanded uncertainties (coverage factor {COVERAGE_FACTOR}) and mostly thinner than the lines. "
             + ("" if dataset.simulated else _filled_words(filled)),
         )
         + "</div><div><h3>How its colour changes</h3>"
@@ -55,7 +56,7 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
             [panels.spectra(dataset, local, "spectra")],
             "Spectra from backward (negative) to forward, each divided by its value at "
             f"{local.lambda_n:g} nm. Rising to the right means reddish, falling bluish. Bands: {named.result} with "
-            f"the expanded uncertainty of its {noise} (coverage factor {panels.COVERAGE}), without the errors that "
+            f"the expanded uncertainty of its {noise} (coverage factor {COVERAGE_FACTOR}), without the errors that "
             "wavelengths share; lines: the local fit.",
         )
         + "</div></div>"
@@ -111,7 +112,7 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
         + figure(
             panels.slopes(dataset, local, fit, "slopes", two),
             "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
-            f"{panels.COVERAGE}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
+            f"{COVERAGE_FACTOR}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
             f"directions, θm = |θ out − θ in| / 2. {dashed}{blocked}",
             "three",
         )

@@ -14,6 +14,7 @@ from analysis.fits.misfit import PARTS_OF_FITS
 from analysis.reflectance.distributions import lobe_width
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
+from goniometer.datasets.budget import COVERAGE_FACTOR
 
 _UNIT = {"1": "", "1/um": "/µm"}
 """How a person reads the unit of a parameter."""
@@ -189,7 +190,7 @@ def _albedo_figure(analysis: SampleAnalysis) -> str:
     curves = figure(
         [albedo_curves(fits, "albedo")],
         "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
-        f"uncertainty (coverage factor {panels.COVERAGE}); none where the albedo stands at zero.",
+        f"uncertainty (coverage factor {COVERAGE_FACTOR}); none where the albedo stands at zero.",
     )
     return f'<h3>Diffuse albedo</h3><div class="alone">{curves}</div>'
 

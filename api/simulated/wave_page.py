@@ -10,6 +10,7 @@ from analysis.figures.notation import with_uncertainty
 from analysis.figures.page import bullets, figure
 from analysis.figures.shown_colours import exposure_of
 from analysis.results import SampleAnalysis
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from simulators.choices import Kernel
 from simulators.waves.convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
 from simulators.waves.scan import Setup
@@ -114,7 +115,7 @@ def _colours(analysis: SampleAnalysis) -> str:
         figure(
             curves,
             "Left: BRDF at 600 nm, one line for each incident angle; bands are expanded uncertainties (coverage factor "
-            f"{panels.COVERAGE}) from the spread of the patches. Right: spectra, each divided by its value at "
+            f"{COVERAGE_FACTOR}) from the spread of the patches. Right: spectra, each divided by its value at "
             f"{analysis.local.lambda_n:g} nm, as in Fig. 6 of the paper; lines are the local fit, Eq. 2. Rising to the "
             "right means reddish, falling bluish.",
         )
