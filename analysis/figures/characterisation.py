@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from analysis.figures.panels import SEQUENCE, line_colours
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, line_colours, new_axes, style, to_svg
 from goniometer.characterisation.alignment import Alignment, Sweep
 from goniometer.characterisation.evaluation import FAR, Noise, Repeatability, Signature, StageRepeatability
 from goniometer.characterisation.lines import WavelengthScale
