@@ -22,6 +22,9 @@ from goniometer.datasets.fill import Filled
 from goniometer.datasets.sector import is_hidden
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
+_SPECTRA_AT, _SPECTRA = 40.0, 7
+"""Incident angle, degrees, of single spectra, and how many are shown."""
+
 _LEAST_SIGNAL = 100.0
 """Signal over standard uncertainty of the counts below which a single spectrum would only show its noise."""
 
@@ -88,23 +91,21 @@ def spectra(
     dataset: Dataset,
     local: LocalFit,
     name: str,
-    theta_in: float = 40.0,
-    count: int = 7,
     least_signal: float = _LEAST_SIGNAL,
 ) -> str:
-    """Normalised spectra from forward to back at the incident angle nearest `theta_in`, with their local fits (Fig. 6).
+    """Normalised spectra from forward to back at the incident angle nearest 40 degrees, with their local fits (Fig. 6).
 
     Each spectrum is divided by its fitted value at lambda_n. Bands are the measurement with the expanded
     uncertainty of its counts (an error that all wavelengths share does not change their ratio), lines the local fit.
     Spectra that are unreliable or weaker than `least_signal` standard uncertainties of their counts are not chosen.
     """
     groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
-    nearest = groups[np.argmin(np.abs(dataset.theta_in - theta_in))]
+    nearest = groups[np.argmin(np.abs(dataset.theta_in - _SPECTRA_AT))]
     clear = clear_of_noise(dataset, local.lambda_n, least_signal)
     usable = np.flatnonzero((groups == nearest) & local.reliable & clear)
     usable = usable[np.argsort(dataset.theta_out[usable])]
     directions = dataset.theta_out[usable]
-    wanted = np.linspace(directions.min(), directions.max(), count) if usable.size else directions
+    wanted = np.linspace(directions.min(), directions.max(), _SPECTRA) if usable.size else directions
     chosen = usable[np.unique(np.argmin(np.abs(directions[:, None] - wanted), axis=0))] if usable.size else usable
     angle = float(dataset.theta_in[groups == nearest].mean())
     scale = local.scale[chosen, None]
