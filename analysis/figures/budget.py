@@ -10,6 +10,7 @@ from analysis.figures.page import figure, titled_page
 from analysis.figures.svg import INK, new_axes, style, to_svg
 from analysis.wording import words
 from drivers.arrays import FloatArray
+from goniometer.datasets.angular import SAME_PLANNED_INCIDENCE
 from goniometer.datasets.budget import (
     COVERAGE,
     COVERAGE_FACTOR,
@@ -59,8 +60,6 @@ SMALLEST_SHARE = 0.005
 _DECADES = 4.0
 """Shown below the largest relative uncertainty."""
 
-_SAME_INCIDENCE = 0.1
-
 
 def budget_panels(
     dataset: Dataset, theta_in: float, theta_out: float, wavelength: float = USUAL_WAVELENGTH
@@ -106,7 +105,7 @@ def _shares(dataset: Dataset, parts: dict[str, FloatArray], point: int) -> str:
 def _over_angle(dataset: Dataset, parts: dict[str, FloatArray], point: int, column: int) -> str:
     """Relative standard uncertainty of every part over theta_out at the incident angle of a point."""
     row = np.flatnonzero(
-        (np.abs(dataset.theta_in - dataset.theta_in[point]) < _SAME_INCIDENCE)
+        (np.abs(dataset.theta_in - dataset.theta_in[point]) < SAME_PLANNED_INCIDENCE)
         & np.isfinite(dataset.brdf[:, column])
         & (dataset.brdf[:, column] > 0)
     )
