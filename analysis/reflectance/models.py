@@ -53,6 +53,7 @@ def shift_is_clamped(slope: FloatArray, wavelengths: FloatArray, lambda_n: float
 def theta_m(directions: Directions) -> FloatArray:
     """[...] angle between half vector and surface normal, degrees.
 
+    >>> from analysis.reflectance.directions import in_plane
     >>> theta_m(in_plane(np.array([40.0]), np.array([20.0]))).round(6).tolist()
     [10.0]
     """
@@ -210,6 +211,7 @@ def dielectric(
     surface reflects is not taken from the diffuse light: nothing keeps the sum below one at grazing angles. Zero
     below the horizon. Raises `OutOfRange` for `eta` below one.
 
+    >>> from analysis.reflectance.directions import in_plane
     >>> mirror = in_plane(np.array([0.0]), np.array([0.0]))
     >>> dielectric(mirror, np.array([500.0, 600.0]), 0.5, 1.5, np.array([0.2, 0.4]), h=1.0, w=2.0).round(4).tolist()
     [[0.0751, 0.1401]]
