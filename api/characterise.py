@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from analysis.figures.budget import side_by_side
 from analysis.figures.characterisation import (
     alignment_panels,
     noise_panels,
@@ -16,6 +15,7 @@ from analysis.figures.characterisation import (
     wavelength_panels,
 )
 from analysis.figures.notation import with_uncertainty
+from analysis.figures.svg import side_by_side
 from analysis.strict_json import strict_json
 from api.service import open_instrument, simulated_settings
 from api.settings import Family, InstrumentSettings

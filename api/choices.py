@@ -28,7 +28,7 @@ Through = Literal["plugin", "bsdf"]
 """Whether a model is rendered by the plugin ggx_shift, or as a table by the plugin `measured`."""
 
 
-class Kind(StrEnum):
+class ChartKind(StrEnum):
     """What is charted."""
 
     SCANS = "scans"

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from analysis.figures.budget import side_by_side
 from analysis.figures.plan import arm_view, polar_view
+from analysis.figures.svg import side_by_side
 from api.display import duration, span
 from goniometer.bench.route import Motion, travel
 from goniometer.campaigns.campaign import Campaign, Integration

@@ -10,7 +10,8 @@ import re
 import sys
 from pathlib import Path
 
-from analysis.figures import panels
+from analysis.figures.curves import spectra
+from analysis.figures.maps import colour_map
 from analysis.fits.analyse import analyse
 from api.datasets import find_datasets
 from goniometer.datasets.fill import fill, unmeasured
@@ -29,8 +30,8 @@ def picture(database: str, sample: str) -> str:
     filled = fill(dataset, *unmeasured(dataset, step=1.0))
     title = f"{sample}: colour of each direction under D65"
     sides = [
-        panels.colour_map(dataset, dataset.brdf, None, "map", title, measured=True, filled=filled),
-        panels.spectra(dataset, local, "spectra"),
+        colour_map(dataset, dataset.brdf, None, "map", title, measured=True, filled=filled),
+        spectra(dataset, local, "spectra"),
     ]
     sizes = []
     for panel, scale in zip(sides, SCALES, strict=True):

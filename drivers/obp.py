@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from drivers.errors import ProtocolError
 
-RESPONSE, ACK, ACK_REQUESTED, NACK, HARDWARE_EXCEPTION, DEPRECATED = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
+RESPONSE, ACK, ACK_REQUESTED, NACK, HARDWARE_EXCEPTION = 0x01, 0x02, 0x04, 0x08, 0x10
 """Flags of a message."""
 
 ERRORS = {

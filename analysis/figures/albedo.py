@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.choices import MODEL_NAMES
-from analysis.figures.panels import line_colours
-from analysis.figures.svg import new_axes, style, to_svg
+from analysis.figures.svg import line_colours, new_axes, style, to_svg
 from analysis.results import ModelFit
 from goniometer.datasets.budget import COVERAGE_FACTOR
 

@@ -1,16 +1,16 @@
 """The uncertainty budget of a dataset as figures: what it consists of over wavelength, and over the reflected angle."""
 
-import re
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.figures.notation import uncertainty, with_uncertainty
+from analysis.figures.notation import superscript, uncertainty, with_uncertainty
+from analysis.figures.page import figure, titled_page
 from analysis.figures.svg import INK, new_axes, style, to_svg
 from analysis.wording import words
 from drivers.arrays import FloatArray
+from goniometer.datasets.angular import SAME_PLANNED_INCIDENCE
 from goniometer.datasets.budget import (
     COVERAGE,
     COVERAGE_FACTOR,
@@ -60,8 +60,6 @@ SMALLEST_SHARE = 0.005
 _DECADES = 4.0
 """Shown below the largest relative uncertainty."""
 
-_SAME_INCIDENCE = 0.1
-
 
 def budget_panels(
     dataset: Dataset, theta_in: float, theta_out: float, wavelength: float = USUAL_WAVELENGTH
@@ -76,24 +74,6 @@ def budget_panels(
     column = nearest_wavelength(dataset, wavelength)
     parts = by_part(dataset)
     return [_shares(dataset, parts, point), _over_angle(dataset, parts, point, column)]
-
-
-def side_by_side(panels: list[str]) -> str:
-    """Panels as one SVG file of their own, which is light or dark as its reader's system."""
-    sizes = [tuple(map(float, re.findall(r'viewBox="0 0 (\S+) (\S+)"', panel)[0])) for panel in panels]
-    width, height = sum(size[0] for size in sizes), max(size[1] for size in sizes)
-    placed, left = [], 0.0
-    for panel, size in zip(panels, sizes, strict=True):
-        at = f'<svg x="{left:g}" y="0" width="{size[0]:g}" height="{size[1]:g}"'
-        placed.append(panel.replace("<svg", at, 1))
-        left += size[0]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}" font-family="sans-serif">\n'
-        "<style>:root { color-scheme: light dark; background: Canvas; color: CanvasText; }</style>\n"
-        + "\n".join(placed)
-        + "\n</svg>\n"
-    )
 
 
 def _shares(dataset: Dataset, parts: dict[str, FloatArray], point: int) -> str:
@@ -125,7 +105,7 @@ def _shares(dataset: Dataset, parts: dict[str, FloatArray], point: int) -> str:
 def _over_angle(dataset: Dataset, parts: dict[str, FloatArray], point: int, column: int) -> str:
     """Relative standard uncertainty of every part over theta_out at the incident angle of a point."""
     row = np.flatnonzero(
-        (np.abs(dataset.theta_in - dataset.theta_in[point]) < _SAME_INCIDENCE)
+        (np.abs(dataset.theta_in - dataset.theta_in[point]) < SAME_PLANNED_INCIDENCE)
         & np.isfinite(dataset.brdf[:, column])
         & (dataset.brdf[:, column] > 0)
     )
@@ -171,7 +151,7 @@ def _over_angle(dataset: Dataset, parts: dict[str, FloatArray], point: int, colu
 def _decade(value: float, _position: object) -> str:
     """Tick of a logarithmic axis in per cent."""
     power = round(np.log10(value))
-    return f"{value:g}" if power >= -2 else "10" + f"{power}".translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{value:g}" if power >= -2 else f"10{superscript(power)}"
 
 
 def _legend(axes: "Axes", negligible: list[str]) -> None:
@@ -192,15 +172,7 @@ def _direction(theta_in: float, theta_out: float) -> str:
 
 def budget_page(found: Budget, panels: list[str], caption: str) -> str:
     """An HTML page of its own with a budget as a table and its panels above their caption."""
-    title = f"{found.sample}: uncertainty budget"
-    css = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>\n{css}</style>\n</head>\n<body>\n<main>\n<h1>{escape(title)}</h1>\n{budget_table(found)}\n"
-        f'<figure><div class="panels">{"".join(panels)}</div><figcaption>{caption}</figcaption></figure>\n'
-        "</main>\n</body>\n</html>\n"
-    )
+    return titled_page(f"{found.sample}: uncertainty budget", [budget_table(found), figure(panels, caption)])
 
 
 def budget_table(found: Budget) -> str:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from analysis.figures.panels import COVERAGE, SEQUENCE, line_colours
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, line_colours, new_axes, style, to_svg
 from goniometer.characterisation.alignment import Alignment, Sweep
 from goniometer.characterisation.evaluation import FAR, Noise, Repeatability, Signature, StageRepeatability
 from goniometer.characterisation.lines import WavelengthScale
+from goniometer.datasets.budget import COVERAGE_FACTOR
 
 BLUE, RED = SEQUENCE[0], SEQUENCE[4]
 
@@ -16,7 +16,7 @@ _STRAY_MEANS = 12
 
 def signature_panels(found: Signature) -> list[str]:
     """The peak with its width, and the whole profile on a logarithmic axis; bars are expanded uncertainties (k = 2)."""
-    x, y, u = found.angle, found.profile, COVERAGE * found.u_profile
+    x, y, u = found.angle, found.profile, COVERAGE_FACTOR * found.u_profile
     with style():
         figure, axes = new_axes(_WIDTH, _HEIGHT)
         half = found.width / 2
@@ -37,7 +37,9 @@ def signature_panels(found: Signature) -> list[str]:
         if not clear.all():
             # where nothing stands clear of the noise, the noise is the limit
             limit = np.maximum(y, 0) + u
-            axes.plot(x[~clear], limit[~clear], "v", color=RED, markersize=3.5, label=f"upper limit (k = {COVERAGE})")
+            axes.plot(
+                x[~clear], limit[~clear], "v", color=RED, markersize=3.5, label=f"upper limit (k = {COVERAGE_FACTOR})"
+            )
         axes.axvspan(float(x.min()), -FAR, color=INK, alpha=0.08, linewidth=0)
         axes.axvspan(FAR, max(float(x.max()), FAR), color=INK, alpha=0.08, linewidth=0)
         axes.set(yscale="log", title="Down to the floor (shaded)", xlim=(float(x.min()), float(x.max())))
@@ -55,18 +57,18 @@ def noise_panels(found: Noise) -> list[str]:
     weights = [1 / found.u_stray[part] ** 2 for part in parts]
     stray = np.array([np.sum(w * found.stray[part]) / w.sum() for w, part in zip(weights, parts, strict=True)])
     u = np.array([1 / np.sqrt(w.sum()) for w in weights])
-    clear = stray > COVERAGE * u
+    clear = stray > COVERAGE_FACTOR * u
     with style():
         figure, axes = new_axes(2 * _WIDTH, _HEIGHT, left=54)
         axes.plot(found.wavelengths, found.brdf, "o", color=BLUE, markersize=2.8, label="noise of one exposure (k = 1)")
         axes.plot(found.wavelengths, found.predicted, color=BLUE, linewidth=1.2, label="predicted")
         axes.errorbar(
-            places[clear], stray[clear], COVERAGE * u[clear],
-            fmt="s", color=RED, markersize=4, elinewidth=0.9, label=f"stray light (bars: k = {COVERAGE})",
+            places[clear], stray[clear], COVERAGE_FACTOR * u[clear],
+            fmt="s", color=RED, markersize=4, elinewidth=0.9, label=f"stray light (bars: k = {COVERAGE_FACTOR})",
         )  # fmt: skip
         if not clear.all():
-            limit = np.maximum(stray, 0) + COVERAGE * u
-            axes.plot(places[~clear], limit[~clear], "v", color=RED, label=f"its upper limit (k = {COVERAGE})")
+            limit = np.maximum(stray, 0) + COVERAGE_FACTOR * u
+            axes.plot(places[~clear], limit[~clear], "v", color=RED, label=f"its upper limit (k = {COVERAGE_FACTOR})")
         lowest = min(float(found.predicted.min()), float(np.min(stray, where=clear, initial=np.inf)))
         axes.set(yscale="log", ylim=(0.3 * lowest, None))
         axes.set(title=f"Nothing mounted, {found.integration_time:g} s, {found.scans} exposures")
@@ -118,7 +120,7 @@ def repeatability_panels(found: Repeatability) -> list[str]:
 
 def _returns(found: StageRepeatability) -> str:
     departure = 1000 * found.departure
-    u = 1000 * COVERAGE * found.u_signal / abs(found.slope)
+    u = 1000 * COVERAGE_FACTOR * found.u_signal / abs(found.slope)
     with style():
         figure, axes = new_axes(_WIDTH, _HEIGHT)
         for side, colour, marker, label in ((False, BLUE, "o", "from below"), (True, RED, "s", "from above")):
@@ -127,7 +129,7 @@ def _returns(found: StageRepeatability) -> str:
                 np.flatnonzero(at) + 1, departure[at], u[at],
                 fmt=marker, color=colour, markersize=4, elinewidth=0.8, label=label,
             )  # fmt: skip
-        limit = 1000 * COVERAGE * found.scatter
+        limit = 1000 * COVERAGE_FACTOR * found.scatter
         axes.axhspan(-limit, limit, color=INK, alpha=0.08, linewidth=0)
         axes.axhline(0, color=INK, linewidth=0.6, alpha=0.5)
         axes.set(title=f"{found.stage.capitalize()} stage: scatter {1000 * found.scatter:.1f} m° (band: ±2 of it)")
@@ -142,8 +144,8 @@ def wavelength_panels(found: WavelengthScale) -> list[str]:
     """By how much every line lies where it should not."""
     known = np.array([line.known for line in found.lines])
     departure = 1000 * (known - np.array([line.found for line in found.lines]))
-    u = 1000 * COVERAGE * np.array([line.u for line in found.lines])
-    offset, band = 1000 * found.offset, 1000 * COVERAGE * found.u_offset
+    u = 1000 * COVERAGE_FACTOR * np.array([line.u for line in found.lines])
+    offset, band = 1000 * found.offset, 1000 * COVERAGE_FACTOR * found.u_offset
     with style():
         figure, axes = new_axes(2 * _WIDTH, _HEIGHT, left=54)
         for element, colour, marker in (("Hg", BLUE, "o"), ("Ar", RED, "s")):
@@ -153,7 +155,7 @@ def wavelength_panels(found: WavelengthScale) -> list[str]:
             )
         axes.axhline(offset, color=INK, linewidth=0.9, dashes=(4, 3))
         axes.axhspan(offset - band, offset + band, color=INK, alpha=0.1, linewidth=0)
-        axes.set(title=f"Lines of a mercury-argon lamp (bars and band: k = {COVERAGE})")
+        axes.set(title=f"Lines of a mercury-argon lamp (bars and band: k = {COVERAGE_FACTOR})")
         axes.set(xlabel="wavelength in air / nm", ylabel="known minus found / pm")
         axes.margins(y=0.2)
         axes.grid(True)

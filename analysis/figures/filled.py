@@ -7,6 +7,7 @@ import numpy as np
 from analysis.figures.notation import with_uncertainty
 from analysis.figures.svg import INK, Cell
 from drivers.arrays import BoolArray, FloatArray
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from goniometer.datasets.fill import Filled
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
@@ -56,18 +57,19 @@ def hatch(axes: "Axes", left: float, right: float, bottom: float, top: float, *,
         drawn.set_hatch_linewidth(width)
 
 
-def draw_filled(axes: "Axes", filled: Filled, angle: float, wavelength: float, coverage: float, colour: str) -> None:
+def draw_filled(axes: "Axes", filled: Filled, angle: float, wavelength: float, colour: str) -> None:
     """What fills one incident angle, degrees, in a diagram over theta_out: dashed in the sector, hollow elsewhere."""
     f, u = at_nearest(filled, wavelength)
+    expanded = COVERAGE_FACTOR * u
     mine = filled.tells & (np.abs(filled.theta_in - angle) < STEP) & (f > 0)
     inside = np.flatnonzero(mine & in_sector(filled))
     inside = inside[np.argsort(filled.theta_out[inside])]
-    theta, low, high = filled.theta_out[inside], f[inside] - coverage * u[inside], f[inside] + coverage * u[inside]
+    theta, low, high = filled.theta_out[inside], (f - expanded)[inside], (f + expanded)[inside]
     axes.fill_between(theta, np.maximum(low, 0.5 * f[inside]), high, color=colour, alpha=0.25, linewidth=0)
     axes.plot(theta, f[inside], color=colour, linewidth=1.2, dashes=(2, 1.5))
     other = np.flatnonzero(mine & ~in_sector(filled))
     axes.errorbar(
-        filled.theta_out[other], f[other], coverage * u[other],
+        filled.theta_out[other], f[other], expanded[other],
         fmt="o", color=colour, markersize=2.6, markerfacecolor="none", markeredgewidth=0.7, elinewidth=0.7,
     )  # fmt: skip
 

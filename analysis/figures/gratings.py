@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.figures.panels import SEQUENCE, line_colours
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, line_colours, new_axes, style, to_svg
 from drivers.arrays import FloatArray
 
 _MARKS = ("o", "s", "^", "D")

@@ -59,5 +59,14 @@ def uncertainty(value: float) -> str:
     return f"{digits}{_times(power)}"
 
 
+def superscript(power: int) -> str:
+    """A whole number as an exponent.
+
+    >>> superscript(-12)
+    '⁻¹²'
+    """
+    return str(power).translate(_SUPERSCRIPT)
+
+
 def _times(power: int) -> str:
-    return f" × 10{str(power).translate(_SUPERSCRIPT)}" if power else ""
+    return f" × 10{superscript(power)}" if power else ""

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.colour import display_encoded
-from analysis.figures.panels import line_colours
-from analysis.figures.svg import INK, Cell, hex_colour, new_axes, style, to_svg
+from analysis.figures.svg import INK, Cell, hex_colour, line_colours, new_axes, style, to_svg
 from analysis.photo_statistics import PhotoStatistics, as_srgb
 from drivers.arrays import FloatArray
 from goniometer.datasets.budget import COVERAGE_FACTOR

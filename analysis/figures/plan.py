@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.figures.panels import SEQUENCE
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, new_axes, style, to_svg
 from goniometer.geometry import BLOCKED_HALF_WIDTH, Geometry
 
 _PLANNED, _SOURCE = SEQUENCE[0], SEQUENCE[3]

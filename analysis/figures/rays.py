@@ -4,12 +4,10 @@ import numpy as np
 
 from analysis.figures.svg import INK, new_axes, style, to_svg
 from drivers.arrays import FloatArray
+from goniometer.datasets.budget import COVERAGE_FACTOR
 
 ORDER_COLOURS = ("#2b6cb8", "#8ec1ee", "#e0a04a", "#a8561d")
 """Of light that was reflected once, twice, three times, and more often: blue and light blue as the paper's."""
-
-COVERAGE = 2
-"""Coverage factor of error bars and bands."""
 
 _WIDTH, _HEIGHT = 400.0, 232.0
 _LABELS = ("once", "twice", "3 times", "4 or more")
@@ -31,7 +29,7 @@ def share_panel(theta_in: float, theta_out: FloatArray, share: FloatArray, u_sha
             axes.bar(theta_out[lit], part, width, below, color=colour, linewidth=0, label=_LABELS[order])
             below = below + part
         axes.errorbar(
-            theta_out[lit], 100 * share[lit, 0], 100 * COVERAGE * u_share[lit, 0],
+            theta_out[lit], 100 * share[lit, 0], 100 * COVERAGE_FACTOR * u_share[lit, 0],
             fmt="none", ecolor=INK, elinewidth=0.9, capsize=1.5, capthick=0.9,
         )  # fmt: skip
         for angle, text, dashes in ((theta_in, "mirror", (5, 3)), (-theta_in, "light", (1.5, 2))):
@@ -73,9 +71,9 @@ def halves_panel(theta_in: FloatArray, share: FloatArray, u_share: FloatArray, n
             axes.plot(
                 theta_in[seen], value[seen], line, marker=marker, markersize=3, color=colour, linewidth=1.3, label=label
             )
-            floor = np.maximum(value - COVERAGE * u, value / 10)
+            floor = np.maximum(value - COVERAGE_FACTOR * u, value / 10)
             axes.fill_between(
-                theta_in[seen], floor[seen], (value + COVERAGE * u)[seen], color=colour, alpha=0.25, linewidth=0
+                theta_in[seen], floor[seen], (value + COVERAGE_FACTOR * u)[seen], color=colour, alpha=0.25, linewidth=0
             )
         axes.set(yscale="log", xlim=(-2, 90), ylim=(0.6 * lowest, 150))
         axes.set(xlabel="θ in / °", ylabel="share of the light that leaves / %")

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
 
 INK = "#010203"
 """The sentinel that becomes `currentColor`."""
+
+SEQUENCE = ("#3a7bd5", "#7d6fd0", "#a862bd", "#c4558f", "#c95a5a", "#b8692a", "#94790f")
+"""Anchors of the line colours: told apart by blue against yellow, which colour-blind eyes keep, and all of a
+luminance that stands out against a white page and against a black one."""
 
 _CELLS = "cells-stand-here"
 _TOUCHING = 1e-6  # data units
@@ -121,9 +127,35 @@ def to_svg(
     return re.sub(r"\s*\n\s*", "\n", text).strip()
 
 
+def side_by_side(panels: list[str]) -> str:
+    """Panels as one SVG file of their own, which is light or dark as its reader's system."""
+    sizes = [tuple(map(float, re.findall(r'viewBox="0 0 (\S+) (\S+)"', panel)[0])) for panel in panels]
+    width, height = sum(size[0] for size in sizes), max(size[1] for size in sizes)
+    placed, left = [], 0.0
+    for panel, size in zip(panels, sizes, strict=True):
+        at = f'<svg x="{left:g}" y="0" width="{size[0]:g}" height="{size[1]:g}"'
+        placed.append(panel.replace("<svg", at, 1))
+        left += size[0]
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}" font-family="sans-serif">\n'
+        "<style>:root { color-scheme: light dark; background: Canvas; color: CanvasText; }</style>\n"
+        + "\n".join(placed)
+        + "\n</svg>\n"
+    )
+
+
 def hex_colour(rgb: Iterable[float]) -> str:
     """CSS colour of three display-encoded values in [0, 1]."""
     return "#" + "".join(f"{round(255 * min(max(v, 0.0), 1.0)):02x}" for v in rgb)
+
+
+def line_colours(count: int) -> list[str]:
+    """`count` colours along `SEQUENCE`."""
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415
+
+    ramp = LinearSegmentedColormap.from_list("sequence", SEQUENCE)
+    return [hex_colour(ramp(v)[:3]) for v in np.linspace(0, 1, max(count, 2))[:count]]
 
 
 def _rectangle(axes: "Axes", cell: Cell, height: float) -> str:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.figures.page import figure as framed
-from analysis.figures.panels import line_colours
-from analysis.figures.svg import INK, Cell, new_axes, style, to_svg
+from analysis.figures.svg import INK, Cell, line_colours, new_axes, style, to_svg
 from analysis.tradeoff import Chart, Choice
 from drivers.arrays import FloatArray
 

@@ -57,9 +57,6 @@ _SHAPES = np.array(
 )  # fmt: skip
 """[shapes, 4] w, kappa, sharpness and threshold among which a two-component slope looks for its starts."""
 
-_FOLLOWED = 5
-"""Starts of a two-component slope that are followed downhill."""
-
 SLOPE_MODELS = tuple(_NAMES)
 """Names of the models that `global_fit` knows."""
 

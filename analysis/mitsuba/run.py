@@ -79,14 +79,14 @@ def bsdf_element(kind: str, inside: str) -> str:
     return f'<bsdf type="{kind}" id="sample">{inside}</bsdf>'
 
 
-def trace_mitsuba(scene: MitsubaScene, stand_in: Material, samples: int = 64, seed: int = 1) -> Vertices:
+def trace_mitsuba(scene: MitsubaScene, stand_in: Material, samples: int = 64) -> Vertices:
     """The vertices of a Mitsuba scene, light that other surfaces scatter included.
 
     `stand_in` is the material where its own light comes back to it, and its lobe tells where light is looked for.
     Raises `RenderError` where Mitsuba is not there or fails, and `SceneError` where the scene shows nothing of the
     material.
     """
-    job = {"what": "trace", "samples": samples, "seed": seed, "alpha": stand_in.alpha}
+    job = {"what": "trace", "samples": samples, "seed": 1, "alpha": stand_in.alpha}
     found = _run(scene, job, [stand_in])
     if not found["complete"].any():
         raise SceneError('No pixel of the scene shows the material "sample" alone, directly and from its front.')

@@ -79,8 +79,9 @@ def vase_scene(material: str, pixels: int = 512, samples: int = SAMPLES, depth: 
     return SceneFiles(xml, {VASE: ply(*vase())})
 
 
-def vase(around: int = 120, along: int = 120) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
+def vase() -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
     """Vertices and unit normals [vertices, 3], and triangles [triangles, 3] counter-clockwise from outside."""
+    around = along = 120
     steps = np.linalg.norm(np.diff(_PROFILE, axis=0), axis=1)
     curve = scipy.interpolate.CubicSpline(np.concatenate([[0.0], np.cumsum(steps)]), _PROFILE)
     s, phi = np.meshgrid(np.linspace(0, steps.sum(), along), 2 * np.pi * np.arange(around) / around, indexing="ij")

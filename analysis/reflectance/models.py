@@ -8,7 +8,7 @@ derivatives. Wavelengths are nanometres, slopes 1/um, BRDF 1/sr. Equation number
 import numpy as np
 
 from analysis.choices import Distribution
-from analysis.reflectance.directions import Aperture, Directions, in_plane, through_aperture
+from analysis.reflectance.directions import Directions
 from analysis.reflectance.distributions import lobe, lobe_derivative
 from analysis.reflectance.fresnel import Conductor, fresnel_conductor, fresnel_dielectric, fresnel_dielectric_derivative
 from drivers.arrays import BoolArray, FloatArray
@@ -45,14 +45,6 @@ def shift(slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N
     return np.asarray(np.maximum(1 + np.asarray(slope)[..., None] * (wavelengths - lambda_n) * 1e-3, 0.0))
 
 
-def shift_derivative(
-    slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N
-) -> tuple[FloatArray, FloatArray]:
-    """`shift` and its derivative by the slope, um, both [..., wavelengths]; zero where the shift is clamped."""
-    value = shift(slope, wavelengths, lambda_n)
-    return value, np.asarray((value > 0) * (wavelengths - lambda_n) * 1e-3)
-
-
 def shift_is_clamped(slope: FloatArray, wavelengths: FloatArray, lambda_n: float = LAMBDA_N) -> BoolArray:
     """[...] whether `shift` had to be clamped at zero somewhere in `wavelengths`."""
     return np.asarray(np.any(1 + np.asarray(slope)[..., None] * (wavelengths - lambda_n) * 1e-3 < 0, axis=-1))
@@ -61,6 +53,7 @@ def shift_is_clamped(slope: FloatArray, wavelengths: FloatArray, lambda_n: float
 def theta_m(directions: Directions) -> FloatArray:
     """[...] angle between half vector and surface normal, degrees.
 
+    >>> from analysis.reflectance.directions import in_plane
     >>> theta_m(in_plane(np.array([40.0]), np.array([20.0]))).round(6).tolist()
     [10.0]
     """
@@ -93,58 +86,6 @@ def local_model(
     1 - m lambda_n, and its normalised spectrum has a = 1.
     """
     return np.asarray(np.asarray(a)[..., None] * shift(m, wavelengths, lambda_n) * fresnel ** np.asarray(p)[..., None])
-
-
-def local_model_derivative(
-    fresnel: FloatArray,
-    wavelengths: FloatArray,
-    a: FloatArray,
-    m: FloatArray,
-    p: FloatArray,
-    lambda_n: float = LAMBDA_N,
-) -> tuple[FloatArray, FloatArray]:
-    """`local_model` and its derivatives by a, m and p of the same direction, [3, ..., wavelengths]."""
-    tilt, tilt_slope = shift_derivative(m, wavelengths, lambda_n)
-    power = fresnel ** np.asarray(p)[..., None]
-    normalised = tilt * power
-    value = np.asarray(a)[..., None] * normalised
-    jacobian = np.stack([normalised, np.asarray(a)[..., None] * tilt_slope * power, value * np.log(fresnel)])
-    return value, jacobian
-
-
-def global_model(
-    fresnel: FloatArray,
-    theta_m: FloatArray,
-    wavelengths: FloatArray,
-    h: float,
-    w: float,
-    t_y: float = 0.0,
-    p: float = 1.0,
-    lambda_n: float = LAMBDA_N,
-) -> FloatArray:
-    """shift F_n^p (Eq. 3 with 4 and 5), a number that is one at lambda_n, [..., wavelengths].
-
-    `fresnel` [..., wavelengths] is F_n as of `normalised_fresnel`; `theta_m` [...] in degrees.
-    """
-    return np.asarray(shift(cosine_slope(theta_m, h, w, t_y), wavelengths, lambda_n) * fresnel**p)
-
-
-def global_model_derivative(
-    fresnel: FloatArray,
-    theta_m: FloatArray,
-    wavelengths: FloatArray,
-    h: float,
-    w: float,
-    t_y: float = 0.0,
-    p: float = 1.0,
-    lambda_n: float = LAMBDA_N,
-) -> tuple[FloatArray, FloatArray]:
-    """`global_model` and its derivatives by h, w, t_y and p, [4, ..., wavelengths]."""
-    slope, slope_jacobian = cosine_slope_derivative(theta_m, h, w, t_y)
-    tilt, tilt_slope = shift_derivative(slope, wavelengths, lambda_n)
-    power = fresnel**p
-    value = tilt * power
-    return value, np.concatenate([slope_jacobian[..., None] * (tilt_slope * power), (value * np.log(fresnel))[None]])
 
 
 def microfacet(
@@ -253,30 +194,6 @@ def cook_torrance_derivative(
     )
 
 
-def measured_cook_torrance(
-    theta_in: FloatArray,
-    theta_out: FloatArray,
-    wavelengths: FloatArray,
-    alpha: float,
-    conductor: Conductor,
-    aperture: Aperture,
-    h: float = 0.0,
-    w: float = 0.0,
-    distribution: Distribution = "ggx",
-    lambda_n: float = LAMBDA_N,
-) -> FloatArray:
-    """What an instrument with a finite aperture reads of `cook_torrance` in plane, [points, wavelengths], 1/sr.
-
-    Angles [points] in degrees; how it is read, and how exactly, stands at `microfacet`. Raises `OutOfRange` beyond the
-    conductor's table.
-    """
-    directions = through_aperture(theta_in, theta_out, aperture)
-    n, k = conductor.index(wavelengths)
-    fresnel = fresnel_conductor(in_plane(theta_in, theta_out).cos_d[:, None], n, k)
-    slope = cosine_slope(theta_m(directions), h, w) if h != 0 else None
-    return microfacet(directions, wavelengths, alpha, fresnel, slope, distribution, aperture.weights, lambda_n)
-
-
 def dielectric(
     directions: Directions,
     wavelengths: FloatArray,
@@ -294,6 +211,7 @@ def dielectric(
     surface reflects is not taken from the diffuse light: nothing keeps the sum below one at grazing angles. Zero
     below the horizon. Raises `OutOfRange` for `eta` below one.
 
+    >>> from analysis.reflectance.directions import in_plane
     >>> mirror = in_plane(np.array([0.0]), np.array([0.0]))
     >>> dielectric(mirror, np.array([500.0, 600.0]), 0.5, 1.5, np.array([0.2, 0.4]), h=1.0, w=2.0).round(4).tolist()
     [[0.0751, 0.1401]]

@@ -9,8 +9,7 @@ import numpy as np
 from analysis.choices import MODEL_NAMES
 from analysis.colour import display_encoded
 from analysis.figures.page import bullets, figure, image_panel
-from analysis.figures.panels import SEQUENCE
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, new_axes, style, to_svg
 from analysis.mitsuba.verify import Verification, cheaper
 from analysis.scenes.asked import CARRIED, CELL
 from analysis.scenes.choose import Choice, Judged, least_directions

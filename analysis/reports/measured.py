@@ -3,13 +3,15 @@
 import numpy as np
 
 from analysis.choices import MODEL_NAMES
-from analysis.figures import panels
+from analysis.figures.curves import distributions, slopes, spectra
 from analysis.figures.filled import STEP
+from analysis.figures.maps import colour_map
 from analysis.figures.page import bullets, figure
 from analysis.figures.shown_colours import exposure_of
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
 from goniometer.datasets.between import FEWEST
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from goniometer.datasets.dataset import Dataset
 from goniometer.datasets.fill import TELLS, Filled, fill, unmeasured
 
@@ -26,12 +28,10 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
     noise = "single values" if dataset.simulated else "counts"
     clipped = f"; {exposure.clipped} cells are brighter than the display and clipped" if exposure.clipped else ""
     maps = [
-        panels.colour_map(
+        colour_map(
             dataset, dataset.brdf, exposure, "colours", f"As bright as {named.done}", measured=True, filled=filled
         ),
-        panels.colour_map(
-            dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True, filled=filled
-        ),
+        colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True, filled=filled),
     ]
     return (
         f"<h2>What was {named.done}</h2>"
@@ -45,18 +45,18 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
         )
         + '<div class="pair"><div><h3>Where the light goes</h3>'
         + figure(
-            [panels.distributions(dataset, "distributions", filled=filled)],
+            [distributions(dataset, "distributions", filled=filled)],
             f"BRDF at 600 nm on a logarithmic scale, one line for each incident angle; dots are {named.done}, lines "
             "are read between them by a process that knows how well it can. Bands are "
-            f"expanded uncertainties (coverage factor {panels.COVERAGE}) and mostly thinner than the lines. "
+            f"expanded uncertainties (coverage factor {COVERAGE_FACTOR}) and mostly thinner than the lines. "
             + ("" if dataset.simulated else _filled_words(filled)),
         )
         + "</div><div><h3>How its colour changes</h3>"
         + figure(
-            [panels.spectra(dataset, local, "spectra")],
+            [spectra(dataset, local, "spectra")],
             "Spectra from backward (negative) to forward, each divided by its value at "
             f"{local.lambda_n:g} nm. Rising to the right means reddish, falling bluish. Bands: {named.result} with "
-            f"the expanded uncertainty of its {noise} (coverage factor {panels.COVERAGE}), without the errors that "
+            f"the expanded uncertainty of its {noise} (coverage factor {COVERAGE_FACTOR}), without the errors that "
             "wavelengths share; lines: the local fit.",
         )
         + "</div></div>"
@@ -110,9 +110,9 @@ def shift_chapter(analysis: SampleAnalysis) -> str:
         + bullets(local.doubts)
         + _slope_in_words(fit, float(np.max(np.abs(dataset.theta_out - dataset.theta_in))) / 2, words(dataset).done)
         + figure(
-            panels.slopes(dataset, local, fit, "slopes", two),
+            slopes(dataset, local, fit, "slopes", two),
             "Dots: slope of each spectrum, bars its expanded uncertainty (coverage factor "
-            f"{panels.COVERAGE}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
+            f"{COVERAGE_FACTOR}), hollow where it is unreliable. Line: the global model, one cosine of θm for all "
             f"directions, θm = |θ out − θ in| / 2. {dashed}{blocked}",
             "three",
         )

@@ -4,9 +4,9 @@ from html import escape
 
 import numpy as np
 
-from analysis.choices import BRDF_MODELS, MODEL_NAMES
-from analysis.figures import panels
+from analysis.choices import BRDF_MODELS
 from analysis.figures.albedo import albedo_curves
+from analysis.figures.maps import colour_map, difference_map, difference_scale
 from analysis.figures.notation import roughly, uncertainty, with_uncertainty
 from analysis.figures.page import figure
 from analysis.figures.shown_colours import exposure_of
@@ -14,6 +14,7 @@ from analysis.fits.misfit import PARTS_OF_FITS
 from analysis.reflectance.distributions import lobe_width
 from analysis.results import ModelFit, SampleAnalysis
 from analysis.wording import words
+from goniometer.datasets.budget import COVERAGE_FACTOR
 
 _UNIT = {"1": "", "1/um": "/µm"}
 """How a person reads the unit of a parameter."""
@@ -40,12 +41,12 @@ def models_chapter(analysis: SampleAnalysis) -> str:
     exposure = exposure_of(dataset)
     plain, shifted = analysis.model("cook-torrance"), analysis.model("cook-torrance-shift")
     pictures = [
-        panels.colour_map(dataset, plain.fitted, exposure, "ct", "Cook-Torrance"),
-        panels.colour_map(dataset, dataset.brdf, exposure, "colours-again", named.done.capitalize(), measured=True),
-        panels.colour_map(dataset, shifted.fitted, exposure, "cts", "Cook-Torrance with shift"),
+        colour_map(dataset, plain.fitted, exposure, "ct", "Cook-Torrance"),
+        colour_map(dataset, dataset.brdf, exposure, "colours-again", named.done.capitalize(), measured=True),
+        colour_map(dataset, shifted.fitted, exposure, "cts", "Cook-Torrance with shift"),
     ]
     others = [fit for fit in analysis.models if fit.distribution and fit not in (plain, shifted)]
-    pictures += [panels.colour_map(dataset, fit.fitted, exposure, fit.model, MODEL_NAMES[fit.model]) for fit in others]
+    pictures += [colour_map(dataset, fit.fitted, exposure, fit.model, MODEL_NAMES[fit.model]) for fit in others]
     shown = {
         name: ("absolute", MODEL_NAMES[name]) if name in _OF_BRIGHTNESS else ("chromatic", f"{MODEL_NAMES[name]}, hue")
         for name in analysis.differences
@@ -53,7 +54,7 @@ def models_chapter(analysis: SampleAnalysis) -> str:
     values = {name: getattr(analysis.differences[name], kind) for name, (kind, _) in shown.items()}
     largest = max(1.0, *(float(np.nanpercentile(v, 99)) for v in values.values()))
     maps = [
-        panels.difference_map(
+        difference_map(
             dataset,
             values[name],
             largest,
@@ -76,7 +77,7 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         + figure(pictures, "Colours as in the first picture, with the same exposure.", "three")
         + _albedo_figure(analysis)
         + "<h3>How far off the fits are</h3>"
-        + f'<div class="scale">{panels.difference_scale(largest, "scale")}</div>'
+        + f'<div class="scale">{difference_scale(largest, "scale")}</div>'
         + figure(
             maps,
             f"Colour difference CIEDE2000 between fit and {named.result}, cell by cell, all on one scale. The local "
@@ -189,7 +190,7 @@ def _albedo_figure(analysis: SampleAnalysis) -> str:
     curves = figure(
         [albedo_curves(fits, "albedo")],
         "Light that enters and comes out again in all directions, of each dielectric model. Bands: expanded "
-        f"uncertainty (coverage factor {panels.COVERAGE}); none where the albedo stands at zero.",
+        f"uncertainty (coverage factor {COVERAGE_FACTOR}); none where the albedo stands at zero.",
     )
     return f'<h3>Diffuse albedo</h3><div class="alone">{curves}</div>'
 

@@ -7,7 +7,7 @@ import numpy as np
 from analysis.colour import display_encoded
 from analysis.figures.page import bullets, figure, image_panel
 from analysis.figures.svg import hex_colour
-from analysis.mitsuba.render import Comparison
+from analysis.mitsuba.vase_render import Comparison
 from drivers.arrays import FloatArray
 
 DIFFERENCE_MAP = "cividis"

@@ -13,7 +13,7 @@ ladder is not monotone, so every rung is looked at; it is not climbed.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -282,8 +282,3 @@ def _unshown(seen: _Seen) -> tuple[float, float]:
     shown = seen.display.shown(seen.reference.mean(axis=0))
     bright = seen.reference.mean(axis=0)[:, 1] * seen.display.exposure
     return float(np.mean(shown.max(axis=1) >= 1.0)), float(np.mean(bright < DARK))
-
-
-def without_draws(reference: Reference) -> Reference:
-    """The reference as if the measurement knew everything, for a material that is a formula."""
-    return replace(reference, draws=np.zeros_like(reference.draws[:1]))

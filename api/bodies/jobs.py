@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from analysis.choices import MODELS, USUAL_COLOUR_ERROR, USUAL_ERROR, Distribution, Engine, Weight
 from api.bodies.base import Asked, Body
-from api.choices import Kind as ChartKind
+from api.choices import ChartKind
 from goniometer.choices import Quantity
 from simulators.choices import ABOUT, METHODS
 

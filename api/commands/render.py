@@ -52,7 +52,7 @@ def render_command(
 ) -> None:
     """Render Cook-Torrance without and with shift side by side, and compare their colours and render times."""
     from analysis.choices import MODEL_NAMES
-    from analysis.mitsuba.render import SEEDS
+    from analysis.mitsuba.vase_render import SEEDS
     from analysis.reports.render import comparison_body, comparison_lines, time_line
     from api.results.render import render_dataset
     from api.written import slug
@@ -86,7 +86,7 @@ def render_command(
 
 
 def _content(found: RenderedDataset, samples: int) -> dict[str, object]:
-    from analysis.mitsuba.render import SEEDS
+    from analysis.mitsuba.vase_render import SEEDS
 
     comparison = found.comparison
     return {

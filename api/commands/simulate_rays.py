@@ -93,7 +93,7 @@ def rays_command(
         azimuth,
     )
     made = _patches(
-        surface, patches, lambda number: topography(surface, size, pitch, seed + 1000 * number, micro=micro)
+        surface, patches, lambda number: topography(surface, size, pitch, seed + _APART * number, micro=micro)
     )
     first = made[0]
     rough = roughness(first.field)

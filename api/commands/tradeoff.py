@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.choices import Kind
+from api.choices import ChartKind
 from api.commands.arguments import DATABASE, AsJson, DatabaseFile, Page, chosen_dataset, emit, existing, write_page
 from api.terminal import stderr, stdout
 
@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
 
 def tradeoff_command(
     kinds: Annotated[
-        list[Kind] | None, typer.Argument(help="What to chart; all without it.", show_default=False)
+        list[ChartKind] | None, typer.Argument(help="What to chart; all without it.", show_default=False)
     ] = None,
     dataset: Annotated[
         str | None, typer.Option(help="Number of a dataset, or name of a sample, to chart instead of the bench's.")
@@ -43,7 +43,7 @@ def tradeoff_command(
         store = existing(database)
         own = store.dataset(chosen_dataset(store, dataset))
     found: list[Chart] = []
-    for kind in dict.fromkeys(kinds or Kind):
+    for kind in dict.fromkeys(kinds or ChartKind):
         found += charts(kind, own, sample, surface, rounds, _tell, dielectric=dielectric)
     path = None if page is None else str(write_page(page, TITLE, chapters(found)).path)
     if as_json:

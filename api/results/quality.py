@@ -13,9 +13,9 @@ from analysis.figures.budget import (
     panels_in_words,
     relative_in_words,
     share_in_words,
-    side_by_side,
 )
 from analysis.figures.notation import uncertainty, with_uncertainty
+from analysis.figures.svg import side_by_side
 from api.datasets import too_noisy
 from api.written import Export, write_text
 from goniometer.datasets.budget import COVERAGE, COVERAGE_FACTOR, USUAL_WAVELENGTH, Budget, budget, usual_direction

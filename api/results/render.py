@@ -12,8 +12,8 @@ from analysis.bsdf.rendered_model import of_fit
 from analysis.choices import BRDF_MODELS
 from analysis.fits.by_name import fit_models, local_fit_for
 from analysis.mitsuba.export_plugin import limiting_words, plugin_material, plugin_scene
-from analysis.mitsuba.render import Comparison, Pictures, Variant, compare, render_scenes, working_variant
 from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_render import Comparison, Pictures, Variant, compare, render_scenes, working_variant
 from analysis.mitsuba.vase_scene import SceneFiles, vase_scene
 from analysis.reflectance.fresnel import Conductor, load_conductor
 from analysis.reports.render import difference_picture, shown

@@ -9,12 +9,12 @@ from analysis.costs.models import model_charts
 from analysis.figures.tradeoff import tradeoff_chapter
 from analysis.reflectance.fresnel import load_conductor
 from analysis.tradeoff import Chart
-from api.choices import Kind
+from api.choices import ChartKind
 from api.results.choose import mitsuba_is_there
 from drivers.arrays import FloatArray
 from goniometer.datasets.dataset import Dataset
 from goniometer.plans.plan_spec import PlanSpec
-from simulators.costs.bench import drawn
+from simulators.costs.measurements import drawn
 from simulators.costs.scans import scan_charts
 from simulators.costs.simulations import simulation_charts
 from simulators.materials.materials import material, true_brdf
@@ -32,7 +32,7 @@ THETA_IN = tuple(float(angle) for angle in range(0, 81, 10))
 
 
 def charts(
-    kind: Kind,
+    kind: ChartKind,
     own: Dataset | None,
     sample: str,
     surface: str,
@@ -46,12 +46,12 @@ def charts(
     `surface` is that of the simulations, as in `goniometer simulate`; everything is timed `rounds` times, with other
     noise each time; `tell` is told what is being done. Raises `InputError` for a material or surface that is not there.
     """
-    if kind in {Kind.FITS, Kind.MODELS}:
+    if kind in {ChartKind.FITS, ChartKind.MODELS}:
         datasets, known = ([own], None) if own is not None else drawn(sample, material(sample), rounds)
-        if kind is Kind.MODELS:
+        if kind is ChartKind.MODELS:
             return model_charts(datasets[0], load_conductor(), dielectric, rounds, tell, rendering=mitsuba_is_there())
         return fit_charts(datasets, load_conductor(), known, rounds, tell)
-    if kind is Kind.SCANS:
+    if kind is ChartKind.SCANS:
         what = material(sample) if own is None else tabulated(own)
 
         def truth(theta_in: FloatArray, theta_out: FloatArray, wavelengths: FloatArray) -> FloatArray:

@@ -5,7 +5,8 @@ from html import escape
 import numpy as np
 
 from analysis.figures.page import bullets, figure
-from analysis.figures.rays import COVERAGE, halves_panel, share_panel
+from analysis.figures.rays import halves_panel, share_panel
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from simulators.rays.decomposition import BIN, CONVERGED, FEWEST, Change, halves, shares
 from simulators.rays.scan import HIGHEST, WINDOWS, RayScan
 from simulators.topographies.heights import Roughness
@@ -65,10 +66,10 @@ def _decomposition(scan: RayScan, nm: float) -> str:
     panels.append(halves_panel(scan.asked.theta_in, over.share, over.u_share, "halves"))
     caption = (
         f"The paper's Fig. 11: of the light that reaches the detector in directions {BIN:g}° wide, how much was "
-        f"reflected how often, at {nm:g} nm. Bars of error (k = {COVERAGE}) are those of the share reflected once. "
-        f"Where fewer than {FEWEST} rays arrived nothing is shown: it is dark there. Facets that lie "
+        f"reflected how often, at {nm:g} nm. Bars of error (k = {COVERAGE_FACTOR}) are those of the share reflected "
+        f"once. Where fewer than {FEWEST} rays arrived nothing is shown: it is dark there. Facets that lie "
         "level shine into the mirror direction alone, and then make the single reflections there stand out. Last: the "
-        f"same over the whole hemisphere, forward and back being its two halves; bands are k = {COVERAGE}."
+        f"same over the whole hemisphere, forward and back being its two halves; bands are k = {COVERAGE_FACTOR}."
     )
     return figure(panels, caption)
 

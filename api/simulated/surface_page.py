@@ -3,7 +3,7 @@
 from html import escape
 
 from analysis.figures.page import bullets, figure
-from analysis.figures.surfaces import (
+from analysis.figures.topographies import (
     autocorrelation_figure,
     height_histogram,
     perspective,

@@ -5,11 +5,13 @@ from html import escape
 import numpy as np
 
 from analysis.colour import has_colour
-from analysis.figures import panels
+from analysis.figures.curves import distributions, slopes, spectra
+from analysis.figures.maps import colour_map
 from analysis.figures.notation import with_uncertainty
 from analysis.figures.page import bullets, figure
 from analysis.figures.shown_colours import exposure_of
 from analysis.results import SampleAnalysis
+from goniometer.datasets.budget import COVERAGE_FACTOR
 from simulators.choices import Kernel
 from simulators.waves.convergence import CONVERGED, CONVERGED_SLOPE, Convergence, Figure
 from simulators.waves.scan import Setup
@@ -93,8 +95,8 @@ def _colours(analysis: SampleAnalysis) -> str:
     if has_colour(dataset.wavelengths):
         exposure = exposure_of(dataset)
         maps = [
-            panels.colour_map(dataset, dataset.brdf, exposure, "waves", "As bright as simulated", measured=True),
-            panels.colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
+            colour_map(dataset, dataset.brdf, exposure, "waves", "As bright as simulated", measured=True),
+            colour_map(dataset, dataset.brdf, None, "hue", "The same, all equally bright", measured=True),
         ]
         parts.append(
             figure(
@@ -107,14 +109,14 @@ def _colours(analysis: SampleAnalysis) -> str:
     else:
         parts.append("<p>A map of colours needs wavelengths from 400 to 700 nm.</p>")
     curves = [
-        panels.distributions(dataset, "distributions", dense=True),
-        panels.spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
+        distributions(dataset, "distributions", dense=True),
+        spectra(dataset, analysis.local, "spectra", least_signal=_LEAST_SIGNAL),
     ]
     parts.append(
         figure(
             curves,
             "Left: BRDF at 600 nm, one line for each incident angle; bands are expanded uncertainties (coverage factor "
-            f"{panels.COVERAGE}) from the spread of the patches. Right: spectra, each divided by its value at "
+            f"{COVERAGE_FACTOR}) from the spread of the patches. Right: spectra, each divided by its value at "
             f"{analysis.local.lambda_n:g} nm, as in Fig. 6 of the paper; lines are the local fit, Eq. 2. Rising to the "
             "right means reddish, falling bluish.",
         )
@@ -126,7 +128,7 @@ def _slopes(analysis: SampleAnalysis) -> str:
     (fit,) = analysis.models
     trusted = "" if fit.verdict.trusted else " It is not to be trusted: " + " ".join(fit.verdict.reasons)
     return "<h2>Slope of the wavelength shift</h2>" + figure(
-        panels.slopes(analysis.dataset, analysis.local, fit, "slopes"),
+        slopes(analysis.dataset, analysis.local, fit, "slopes"),
         "Slope m of every spectrum (Eq. 2) over the reflected angle, one panel an incident angle, as in Fig. 9 of the "
         "paper; θm is half the distance from the mirror direction. Bars are expanded uncertainties, hollow dots are "
         f"unreliable. The line is the global model (Eq. 4-5).{escape(trusted)}",

@@ -4,14 +4,13 @@ import numpy as np
 
 from analysis.colour import xyz_weights
 from analysis.figures.filled import at_nearest
-from analysis.figures.panels import COVERAGE
 from analysis.fits.noise import at_wavelength, weighted
 from api.bodies.base import numbers
 from api.bodies.plots import Distribution, Distributions, FilledCurve
 from api.views.opened import Opened
 from drivers.arrays import FloatArray
 from goniometer.datasets.angular import SAME_INCIDENCE, incidence_groups
-from goniometer.datasets.budget import nearest_wavelength
+from goniometer.datasets.budget import COVERAGE_FACTOR, nearest_wavelength
 from goniometer.datasets.dataset import Dataset
 from goniometer.datasets.fill import Filled
 
@@ -31,7 +30,7 @@ def distributions(opened: Opened, wavelength: float | None, filled: Filled | Non
     return Distributions(
         dataset=opened.entry.id,
         wavelength_nm=wavelength,
-        coverage_factor=COVERAGE,
+        coverage_factor=COVERAGE_FACTOR,
         curves=[
             _curve(dataset, np.flatnonzero(groups == g), f, u, wavelength, filled) for g in range(int(groups.max()) + 1)
         ],

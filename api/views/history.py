@@ -12,7 +12,7 @@ from goniometer.datasets.checks import SAME_DIRECTION
 from goniometer.errors import CalibrationError
 from goniometer.radiometry.drift import lamp_drift
 from goniometer.radiometry.raw import read_raw
-from goniometer.radiometry.signal import linear
+from goniometer.radiometry.signal import CORRECTIONS_OF_A_SHOT, linear
 from goniometer.storage.look_up import detector_temperatures
 from goniometer.storage.records import Scan
 from goniometer.storage.store import Store
@@ -21,8 +21,6 @@ BANDS_NM = (450.0, 600.0, 750.0)
 """Middles of the bands in which the response is told."""
 HALF_BAND_NM = 5.0
 """Over which pixels are averaged on either side."""
-
-_COUNTED = frozenset({"dark", "non-linearity"})
 
 
 def history(store: Store, limit: int) -> History:
@@ -89,7 +87,7 @@ def _signals(store: Store, scan: Scan) -> tuple[FloatArray, FloatArray, FloatArr
     bands = [np.abs(wavelengths - middle) <= HALF_BAND_NM for middle in BANDS_NM]
     places, rates, variances = [], [], []
     for shot in raw.shots:
-        found = linear(raw, shot, _COUNTED)
+        found = linear(raw, shot, CORRECTIONS_OF_A_SHOT)
         if found.saturated.any():
             continue
         places.append((shot.geometry.theta_in, shot.geometry.theta_out))

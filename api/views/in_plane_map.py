@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis.colour import brdf_to_xyz, has_colour
 from analysis.figures.filled import at_nearest, filled_cells
-from analysis.figures.panels import cell_edges
+from analysis.figures.maps import cell_edges
 from analysis.figures.shown_colours import Exposure, exposure_of, shown_colours
 from analysis.fits.noise import LEAST_SIGNAL_FOR_HUE, flag_words, hue_is_known
 from api.bodies.base import number

@@ -140,11 +140,11 @@ async def measure_repeatability(
     return Repeatability(sample, detector, bands.wavelengths, band_scatter(detector.from_above, bands))
 
 
-async def measure_wavelengths(instrument: Instrument, mount: Mount, theta_in: float = 0.0) -> WavelengthScale:
+async def measure_wavelengths(instrument: Instrument, mount: Mount) -> WavelengthScale:
     """Take a spectrum of a mercury-argon lamp in place of the sample; the halogen lamp's shutter is open as ever."""
     await mount("mercury-argon")
     meter = Meter(instrument, await instrument.constants(), LONGEST)
-    first = await meter.read(Geometry(theta_in, 45.0))
+    first = await meter.read(Geometry(0.0, 45.0))
     time = first.integration_time
     spectra = await instrument.sequence(time, 10)
     whole = reading(first.geometry, spectra, await meter.darks(time), meter.constants)

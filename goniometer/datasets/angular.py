@@ -16,6 +16,10 @@ from goniometer.uncertainty import Groups
 SAME_INCIDENCE = 0.05
 """Incident angles closer than this belong to one position of the sample stage, degrees."""
 
+SAME_PLANNED_INCIDENCE = 0.1
+"""Read-back incident angles closer than this were planned as one, degrees, even where the stage came back to it: wider
+than `SAME_INCIDENCE`, within which it has not moved at all."""
+
 SMOOTHED_WAVELENGTHS = 21
 """Wavelengths over which the derivatives of ln f are averaged."""
 

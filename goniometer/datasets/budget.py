@@ -15,7 +15,7 @@ from goniometer.errors import GeometryError, InputError
 from goniometer.uncertainty import PARTS, ErrorSource, combined
 
 COVERAGE_FACTOR = 2
-"""Of every expanded uncertainty in a budget."""
+"""Of every expanded uncertainty, in a budget as in the bands and error bars of figures."""
 
 COVERAGE = "95.45 % of a normal distribution, effective degrees of freedom assumed large"
 """What `COVERAGE_FACTOR` stands for, in words."""

@@ -22,12 +22,11 @@ import scipy
 from numpy.typing import NDArray
 
 from drivers.arrays import BoolArray, FloatArray
-from goniometer.datasets.angular import incidence_groups
+from goniometer.datasets.angular import SAME_PLANNED_INCIDENCE, incidence_groups
 from goniometer.datasets.averages import Averages, averages, narrow
 from goniometer.datasets.between import FEWEST
 from goniometer.datasets.dataset import Dataset
 from goniometer.datasets.fill import Filled, fill
-from goniometer.datasets.reciprocity import SAME_INCIDENCE
 from goniometer.datasets.sector import is_hidden
 from goniometer.geometry import BLOCKED_HALF_WIDTH
 
@@ -86,7 +85,7 @@ def energy(dataset: Dataset) -> Energy:
     weights = narrow(dataset.wavelengths, BAND)
     mean = averages(dataset, weights)
     filled = _hidden_lobes(dataset, mean, dataset.wavelengths @ weights)
-    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
+    groups = incidence_groups(dataset.theta_in, SAME_PLANNED_INCIDENCE)
     usable = np.isfinite(mean.values).all(axis=1)
     found = []
     for group in range(int(groups.max(initial=-1)) + 1):
@@ -149,7 +148,7 @@ def _nodes(dataset: Dataset, mean: Averages, members: NDArray[np.intp], filled: 
     theta_out, f = dataset.theta_out[members], mean.values[members]
     u, measured = np.zeros(f.shape), np.ones(members.size, dtype=bool)
     if filled is not None:
-        mine = filled.tells & (np.abs(filled.theta_in - dataset.theta_in[members].mean()) < SAME_INCIDENCE)
+        mine = filled.tells & (np.abs(filled.theta_in - dataset.theta_in[members].mean()) < SAME_PLANNED_INCIDENCE)
         theta_out = np.append(theta_out, filled.theta_out[mine])
         f, u = np.vstack([f, filled.brdf[mine]]), np.vstack([u, filled.u[mine]])
         measured = np.append(measured, np.zeros(np.count_nonzero(mine), dtype=bool))

@@ -16,16 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arrays import FloatArray
-from goniometer.datasets.angular import incidence_groups
+from goniometer.datasets.angular import SAME_PLANNED_INCIDENCE, incidence_groups
 from goniometer.datasets.averages import averages, middle
 from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import combined, variance
 
 NEAR = 0.3
 """Degrees within which an incident angle must have been measured."""
-
-SAME_INCIDENCE = 0.1
-"""Read-back incident angles that follow one another within this, degrees, belong to one planned angle."""
 
 _BEYOND = 0.05
 """Degrees that the reverse direction may lie beyond the outermost measured one: the stages' error."""
@@ -111,7 +108,7 @@ def reciprocity(dataset: Dataset) -> Reciprocity:
 
 def rows_of(dataset: Dataset, good: NDArray[np.bool_]) -> list[Row]:
     """Every incident angle with those of its points that are `good` [points]."""
-    groups = incidence_groups(dataset.theta_in, SAME_INCIDENCE)
+    groups = incidence_groups(dataset.theta_in, SAME_PLANNED_INCIDENCE)
     members = [groups == g for g in range(int(groups.max(initial=-1)) + 1)]
     return [Row(float(dataset.theta_in[mine].mean()), np.flatnonzero(mine & good)) for mine in members]
 
@@ -124,7 +121,7 @@ def reverse(
     `logarithm` [points] is ln(f cos(theta_in) cos(theta_out)), by which the interpolation is judged.
     """
     other = min(rows, key=lambda row: abs(row.theta_in - abs(theta_out)))
-    if abs(other.theta_in - abs(theta_out)) > NEAR or abs(other.theta_in - theta_in) <= SAME_INCIDENCE:
+    if abs(other.theta_in - abs(theta_out)) > NEAR or abs(other.theta_in - theta_in) <= SAME_PLANNED_INCIDENCE:
         return None  # the mirror direction and the way back to the lamp are their own reverse
     # theta_h of the reverse direction is that of this one with its sign changed forward, and the same backward
     target = other.theta_in + (theta_in - theta_out if theta_out > 0 else theta_out - theta_in)

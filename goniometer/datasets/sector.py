@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.arrays import FloatArray
+from goniometer.datasets.angular import SAME_PLANNED_INCIDENCE
 from goniometer.datasets.dataset import Dataset
 from goniometer.geometry import BLOCKED_HALF_WIDTH, LARGEST_ANGLE, Geometry
 from goniometer.interpolation.interpolant import Interpolant, Shape, predict_values
@@ -16,8 +17,6 @@ BESIDE = 1.5
 _STAGES = 0.2
 """Degrees by which a point beside the sector may seem to stand in it."""
 
-_SAME_INCIDENCE = 0.1
-
 _EDGES = np.array([-1, -1, 1, 1]) * BLOCKED_HALF_WIDTH + np.array([-1, 0, 0, 1]) * BESIDE
 
 
@@ -26,7 +25,7 @@ def is_hidden(dataset: Dataset, theta_in: float) -> bool:
     if dataset.simulated:
         return False
     inside = np.abs(dataset.theta_in + dataset.theta_out) < BLOCKED_HALF_WIDTH - _STAGES
-    return not np.any(inside & (np.abs(dataset.theta_in - theta_in) < _SAME_INCIDENCE))
+    return not np.any(inside & (np.abs(dataset.theta_in - theta_in) < SAME_PLANNED_INCIDENCE))
 
 
 def edges(incident: FloatArray) -> tuple[FloatArray, FloatArray]:

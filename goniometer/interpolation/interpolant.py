@@ -109,13 +109,12 @@ def learn(
     noise: FloatArray,
     u_angle: float = 0.0,
     start: Scales | None = None,
-    steps: int = 12,
 ) -> Shape:
     """Lobe and scales of a sample from the mean over bands of its measured points.
 
     `theta_in`, `theta_out` [points] in degrees, `values` [points, bands] cos(theta_in) f and its standard uncertainty
     `noise`, both 1/sr and finite, `u_angle` the standard uncertainty of a stage's position, degrees. The search for the
-    scales begins at `start` and ends after `steps`.
+    scales begins at `start`.
     """
     offset = max(OFFSET, float(np.quantile(noise, 0.1)))
     mean = latent(values, offset).mean(axis=1)
@@ -127,7 +126,7 @@ def learn(
         u = shape.read_noise(theta_in, theta_out, values, noise)
     at = coordinates(theta_in, theta_out, shape.lobe)
     residual, doubt = mean - shape.level(theta_in, theta_out), shape.doubt(theta_in, theta_out)
-    return replace(shape, scales=fit_scales(at, residual, u, doubt, start or Scales(), steps))
+    return replace(shape, scales=fit_scales(at, residual, u, doubt, start or Scales()))
 
 
 def condition(

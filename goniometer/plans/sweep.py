@@ -5,7 +5,7 @@ over the interval that the arm passed meanwhile: too coarse to measure a narrow 
 stands above its noise. Where a reading is not what the interpolation predicts, the plan sends points into the interval.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,16 +49,6 @@ class Swept:
     """[bands] standard uncertainty of `values`."""
     saturated: bool = False
     """Whether `values` are lower bounds, because the detector had no room for more."""
-
-
-def averaged(
-    brdf: Callable[[FloatArray, FloatArray], FloatArray], theta_in: float, interval: tuple[float, float]
-) -> FloatArray:
-    """[bands] of a function [points, bands] of theta_in and theta_out, averaged over an interval of theta_out."""
-    low, high = interval
-    count = max(int(np.ceil((high - low) / 0.1)), 1)
-    at = low + (np.arange(count) + 0.5) * (high - low) / count
-    return np.asarray(brdf(np.full(count, theta_in), at).mean(axis=0))
 
 
 def unexplained(process: Interpolant, swept: Sequence[Swept], visited: Sequence[Geometry]) -> list[Swept]:

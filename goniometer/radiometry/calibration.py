@@ -343,13 +343,11 @@ def certificate_of(store: Store, campaign_id: int) -> PanelCertificate:
     return NOMINAL_SRS99 if text is None else parse_certificate(text, f"certificate of campaign {campaign_id}")
 
 
-def check_certificate(
-    text: str | None, path: str, override: Override | None, day: datetime.date, settings: Settings = STANDARD
-) -> None:
+def check_certificate(text: str | None, path: str, override: Override | None, day: datetime.date) -> None:
     """Raise `CertificateError` where a certificate cannot serve a reference scan that is made on `day`.
 
     `text` is that of the file `path`, None where there is none.
     """
     certificate = NOMINAL_SRS99 if text is None else parse_certificate(text, path)
-    certificate.check_covers(settings.lowest, settings.highest)
+    certificate.check_covers(STANDARD.lowest, STANDARD.highest)
     check_validity(certificate, day, override)

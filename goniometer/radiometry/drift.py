@@ -19,7 +19,7 @@ import numpy as np
 from drivers.arrays import BoolArray, FloatArray
 from goniometer.errors import CalibrationError
 from goniometer.radiometry.raw import RawScan
-from goniometer.radiometry.signal import linear
+from goniometer.radiometry.signal import CORRECTIONS_OF_A_SHOT, linear
 from goniometer.uncertainty import Groups
 
 REFERENCE_WAVELENGTH = 600.0
@@ -27,8 +27,6 @@ REFERENCE_WAVELENGTH = 600.0
 
 BRIGHT = 0.1
 """Pixels of the monitor that have at least this part of its brightest one tell of the lamp."""
-
-_COUNTED = frozenset({"dark", "non-linearity"})
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ def _levels(raw: RawScan) -> tuple[FloatArray, float]:
     Also the standard uncertainty of a level by the noise of the counts. Raises `CalibrationError` where the monitors
     are saturated.
     """
-    parts = [linear(raw, shot, _COUNTED) for shot in raw.monitors]
+    parts = [linear(raw, shot, CORRECTIONS_OF_A_SHOT) for shot in raw.monitors]
     first = parts[0].rate
     unsaturated = ~np.any([part.saturated for part in parts], axis=0)
     if not unsaturated.any():

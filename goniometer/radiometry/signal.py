@@ -24,6 +24,9 @@ from goniometer.radiometry.raw import Dark, RawScan, Shot
 STRAY_WINDOW = 51
 """Pixels over which stray light is smoothed; the lamp's spectrum is straight over so few."""
 
+CORRECTIONS_OF_A_SHOT = frozenset({"dark", "non-linearity"})
+"""All that `linear` can correct, for what is read from single shots: the others need more of a scan than one."""
+
 DARK_DOUBLING = 6.0
 """Degrees Celsius by which a silicon detector must be warmer for twice the dark current."""
 

@@ -88,17 +88,13 @@ def visits(points: Sequence[Point], exposures: Sequence[ExposureTime], motion: M
 
 
 def expected(
-    path: Sequence[Geometry],
-    motion: Motion,
-    integration: Integration,
-    start: Geometry | None = None,
-    dead_time: float = DEAD_TIME,
+    path: Sequence[Geometry], motion: Motion, integration: Integration, dead_time: float = DEAD_TIME
 ) -> Expected:
     """Time to visit `path` in its order before anything of the sample is known; `dead_time` in seconds at a point.
 
     The limits are those of `unknown_exposure`, which is alike for all points: a sample is bright or dark.
     """
-    fixed = travel(path, motion, start).seconds + len(path) * (dead_time + integration.maximum * PROBE_FRACTION)
+    fixed = travel(path, motion).seconds + len(path) * (dead_time + integration.maximum * PROBE_FRACTION)
     each = unknown_exposure(integration)
     return Expected(*(float(fixed + len(path) * time) for time in (each.seconds, each.low, each.high)))
 

@@ -11,8 +11,8 @@ class SimulatedClock:
     simulators, which run in several threads.
     """
 
-    def __init__(self, start: float = 0.0) -> None:
-        self._now = start
+    def __init__(self) -> None:
+        self._now = 0.0
         self._lock = threading.Lock()
 
     def now(self) -> float:

@@ -53,10 +53,6 @@ class Material:
     """Angular frequency of the slope (Eq. 5), a pure number."""
     roughness_rms_um: float
     """Height rms by confocal microscope (paper, Table 1), um."""
-    pressure_bar: float | None
-    """Sandblasting pressure (Table 1), bar; None for the polished disc."""
-    distance_mm: float | None
-    """Distance of the nozzle (Table 1), mm; None for the polished disc."""
     abrasive_um: tuple[float, float] | None
     """Smallest and largest diameter of the abrasive beads (Table 1), um; None for the polished disc."""
     diameter_mm: float = 50.0
@@ -112,25 +108,25 @@ class Emitter:
 
 Mountable = Material | Surface | Panel | Embossed | Emitter | Tabulated
 
-_COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100), diameter_mm=15.0)
+_COUPON = Material("coupon", 0.180, 1.2, 3.4, 0.98, (70, 100), diameter_mm=15.0)
 
 SAMPLES = {
     sample.name: sample
     for sample in (
-        Material("sample-1", 0.364, 1.6, 2.3, 2.39, 6.5, 100, (70, 100)),
-        Material("sample-2", 0.280, 1.5, 2.6, 1.76, 4, 100, (70, 100)),
-        Material("sample-3", 0.209, 1.35, 3.0, 1.20, 3, 100, (70, 100)),
-        Material("sample-4", 0.180, 1.2, 3.4, 0.98, 2, 100, (70, 100)),
-        Material("sample-5", 0.113, 0.9, 4.5, 0.52, 1, 100, (70, 100)),
-        Material("sample-6", 0.0045, 0.0, 0.0, 0.10, None, None, None),
-        Material("sample-7", 0.275, 1.2, 3.0, 0.66, 1, 200, (35, 35), alpha_swing=0.075),
-        Material("sample-8", 0.100, 0.8, 4.8, 0.43, 1, 200, (70, 100)),
+        Material("sample-1", 0.364, 1.6, 2.3, 2.39, (70, 100)),
+        Material("sample-2", 0.280, 1.5, 2.6, 1.76, (70, 100)),
+        Material("sample-3", 0.209, 1.35, 3.0, 1.20, (70, 100)),
+        Material("sample-4", 0.180, 1.2, 3.4, 0.98, (70, 100)),
+        Material("sample-5", 0.113, 0.9, 4.5, 0.52, (70, 100)),
+        Material("sample-6", 0.0045, 0.0, 0.0, 0.10, None),
+        Material("sample-7", 0.275, 1.2, 3.0, 0.66, (35, 35), alpha_swing=0.075),
+        Material("sample-8", 0.100, 0.8, 4.8, 0.43, (70, 100)),
         _COUPON,
     )
 }
 """The paper's Samples 1 to 8, of which 6 is the mirror and 7 is inhomogeneous, and a small coupon made as Sample 4.
 
-Roughness and preparation are the paper's (Table 1), alpha was fitted to its measurements; h and w are chosen so
+Roughness and abrasive are the paper's (Table 1), alpha was fitted to its measurements; h and w are chosen so
 that the slopes are about as large as the paper's, and are not measurements. The coupon is so small that the detector
 looks past it beyond 80 degrees.
 """

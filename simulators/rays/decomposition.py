@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.arrays import FloatArray
 from simulators.errors import UnfitTopography
 from simulators.rays.scan import RayScan
-from simulators.topographies.heights import HeightField
+from simulators.topographies.heights import HeightField, every_second
 
 BIN = 5.0
 """Width in theta_out over which directions are taken together where their light is decomposed, degrees."""
@@ -133,7 +133,7 @@ def coarser(field: HeightField) -> HeightField:
             f"Whether the pitch is fine enough is told by every second point, but a periodic patch of "
             f"{field.heights_um.shape[1]} x {field.heights_um.shape[0]} points has no such half; make its sides even."
         )
-    return HeightField(field.heights_um[::2, ::2], 2 * field.pitch_um, field.periodic)
+    return every_second(field)
 
 
 def convergence(scan: RayScan, coarse: RayScan) -> tuple[Change, ...]:

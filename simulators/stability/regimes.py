@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from analysis.scenes.ladder import METAL_FITS
 from goniometer.datasets.dataset import Dataset
 from simulators.bench.measurement import Setup, measure
 from simulators.choices import ABOUT
@@ -194,8 +195,7 @@ def _missing(dataset: Dataset, random: np.random.Generator) -> Dataset:
     return replace(dataset, brdf=np.where(np.abs(dataset.wavelengths - 600) < 45, np.nan, dataset.brdf))
 
 
-_METALS = ("cook-torrance", "cook-torrance-shift", "two-component")
-_LOBES = (*_METALS, "dielectric-shift")
+_LOBES = (*METAL_FITS, "dielectric-shift")
 _TWO = ("local", "global-two-component", "two-component")
 _SHIFTED = tuple(model for model in SPECIMENS if model != "cook-torrance")
 
@@ -288,7 +288,7 @@ REGIMES = {
                     ("gold", "main/Au/Johnson"),
                 )
             ),
-            ("local", "global", "global-two-component", *_METALS),
+            ("local", "global", "global-two-component", *METAL_FITS),
         ),
         Regime(
             "wrong distribution",

@@ -9,23 +9,17 @@ at all places sees on average (Parseval's theorem)
 """
 
 from dataclasses import dataclass
-from math import ceil, floor, pi
+from math import ceil, pi
 
-import finufft
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import fft
 
 from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from simulators.errors import UnfitTopography
 from simulators.topographies.heights import HeightField, complete
-
-SingleArray = NDArray[np.float32]
-
-_PRECISION = 1e-5
-"""Of d_b against 1; that leaves a BRDF of some 1e-12 1/sr in directions that should be dark."""
+from simulators.waves.kz_grid import TAPS, SingleArray, grid_for, range_of, taps, transformed_columns
 
 _ACROSS = 3.0
 """Harmonics across the plane of incidence up to this many 1/s count; beyond is 2e-5 of a white spectrum."""
@@ -33,17 +27,8 @@ _ACROSS = 3.0
 _ALONG = 4.0
 """The same along it."""
 
-_TAPS = 12
-"""Points of the kz grid between which |d_b|^2 is interpolated, by a sinc under a Kaiser window."""
-
-_KAISER = 9.4
-"""Its shape: at twice the necessary density, errors of 2e-5 (Kaiser & Schafer 1980)."""
-
 _EDGE = 3.0
 """Over this many s a map that is not periodic fades at each of its four edges."""
-
-_FLAT_UM = 0.01
-"""Range of heights in um below which a map is treated as if it had this range."""
 
 _AT_ONCE = 30_000_000
 """Values that are computed together, of as many harmonics across the plane as that makes: some hundred megabytes."""
@@ -72,15 +57,11 @@ class PowerSpectrum:
 
         Raises `InputError` beyond what the spectrum was computed for.
         """
-        first = np.floor(kz / self.kz_step).astype(int) - (_TAPS // 2 - 1)
+        first, weight_up = taps(kz, self.kz_step)
         column = first - self.kz_first
-        if (
-            column.min() < 0
-            or column.max() + _TAPS > self.power.shape[2]
-            or s_um < self.smallest_window_um * (1 - 1e-9)
-        ):
+        if column.min() < 0 or column.max() + TAPS > self.power.shape[2] or s_um < self.smallest_window_um * (1 - 1e-9):
             low, high = (
-                (self.kz_first + end) * self.kz_step for end in (_TAPS // 2 - 1, self.power.shape[2] - _TAPS // 2)
+                (self.kz_first + end) * self.kz_step for end in (TAPS // 2 - 1, self.power.shape[2] - TAPS // 2)
             )
             raise InputError(
                 f"The power spectrum of the topography holds k_z from {low:.3g} to {high:.3g} 1/um and windows from "
@@ -93,10 +74,7 @@ class PowerSpectrum:
         reach = ceil(_ALONG / (s_um * step_along))
         harmonic = np.round(kx / step_along).astype(int)[:, None] + np.arange(-reach, reach + 1)
         weight_along = np.exp(-(((kx[:, None] - harmonic * step_along) * s_um) ** 2))
-        tap = first[:, None] + np.arange(_TAPS)
-        distance = kz[:, None] / self.kz_step - tap
-        weight_up = np.sinc(distance) * np.i0(_KAISER * np.sqrt(1 - (distance / (_TAPS / 2)) ** 2)) / np.i0(_KAISER)
-        near = across[(harmonic % across.shape[0])[:, :, None], (tap - self.kz_first)[:, None, :]]
+        near = across[(harmonic % across.shape[0])[:, :, None], (column[:, None] + np.arange(TAPS))[:, None, :]]
         seen = np.einsum("th,thk,tk->t", weight_along, near, weight_up, optimize=True)
         # the interpolation swings below zero by its error where the light vanishes
         return np.asarray(4 * pi * s_um**2 * np.maximum(seen, 0))
@@ -110,9 +88,8 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
     """
     heights = complete(field) - 0.5 * (np.max(field.heights_um) + np.min(field.heights_um))
     ny, nx = heights.shape
-    step = pi / (2 * max(float(np.ptp(heights)), _FLAT_UM))
-    first = floor(kz_min / step) - (_TAPS // 2 - 1)
-    count = floor(kz_max / step) + _TAPS // 2 + 1 - first
+    step = pi / (2 * range_of(heights))
+    first, count = grid_for(kz_min, kz_max, step)
     across_um, along_um = ny * field.pitch_um, nx * field.pitch_um
     harmonics = min((ny - 1) // 2, ceil(_ACROSS / smallest_window_um * across_um / (2 * pi)))
     fade_across, fade_along = (_fade(field, points, smallest_window_um) for points in (ny, nx))
@@ -126,35 +103,6 @@ def power_spectrum(field: HeightField, smallest_window_um: float, kz_min: float,
             along = fft.ifft(columns[:, index, :], axis=0)
             power[abs(harmonic)] += along.real**2 + along.imag**2
     return PowerSpectrum(power, across_um, along_um, step, first, smallest_window_um)
-
-
-def transformed_columns(
-    heights: FloatArray, fade: FloatArray, harmonics: tuple[int, int], grid: tuple[int, int], step: float
-) -> NDArray[np.complex64]:
-    """[x, harmonics, kz] mean over y of `fade` exp(i (k_b y + kz h)), b from the first to the last of `harmonics`.
-
-    `grid` is the first kz, in steps of `step` 1/um, and their number.
-    """
-    ny, nx = heights.shape
-    low, high = harmonics
-    first, count = grid
-    angle = 2 * pi * np.arange(ny) / ny
-    places = _folded(angle)
-    # a transform counts its frequencies from the middle of the grid, so the strengths carry the phase of that middle
-    middle_across, middle_up = low + (high - low + 1) // 2, first + count // 2
-    phase = np.exp(1j * middle_across * angle) * fade / ny
-    plan = finufft.Plan(1, (high - low + 1, count), eps=_PRECISION, isign=1, dtype="complex64", nthreads=1)
-    columns = np.empty((nx, high - low + 1, count), dtype=np.complex64)
-    for x in range(nx):
-        up = step * heights[:, x]
-        plan.setpts(places, up.astype(np.float32))
-        plan.execute((phase * np.exp(1j * middle_up * up)).astype(np.complex64), out=columns[x])
-    return columns
-
-
-def _folded(angle: FloatArray) -> SingleArray:
-    """`angle` in [-pi, pi)."""
-    return np.asarray((angle + pi) % (2 * pi) - pi, dtype=np.float32)
 
 
 def _fade(field: HeightField, points: int, s_um: float) -> FloatArray:

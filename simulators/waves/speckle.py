@@ -31,18 +31,9 @@ from drivers.arrays import FloatArray
 from goniometer.errors import InputError
 from simulators.errors import UnfitTopography
 from simulators.topographies.heights import HeightField, complete
-from simulators.waves.power_spectrum import transformed_columns
+from simulators.waves.kz_grid import TAPS, grid_for, range_of, taps, transformed_columns
 
 Harmonic = NDArray[np.complex64]
-
-_TAPS = 12
-"""Points of the kz grid between which d_b is interpolated, by a sinc under a Kaiser window."""
-
-_KAISER = 9.4
-"""Its shape: at twice the necessary density, errors of 2e-5 (Kaiser & Schafer 1980)."""
-
-_FLAT_UM = 0.01
-"""Range of heights in um below which a map is treated as if it had this range."""
 
 _AT_ONCE = 24_000_000
 """Complex numbers that are transformed together, which bounds the memory."""
@@ -90,15 +81,13 @@ class PhaseScreen:
 
         Raises `InputError` for harmonics or a `kz` beyond those that the screen has.
         """
-        first = floor(kz / self.kz_step) - (_TAPS // 2 - 1)
-        taps = first + np.arange(_TAPS)
-        distance = kz / self.kz_step - taps
-        weight = np.sinc(distance) * np.i0(_KAISER * np.sqrt(1 - (distance / (_TAPS / 2)) ** 2)) / np.i0(_KAISER)
+        first, weight = taps(np.array(kz), self.kz_step)
         rows = slice(along[0] - self.first_along, along[1] + 1 - self.first_along)
         columns = slice(across[0] - self.first_across, across[1] + 1 - self.first_across)
-        depth = slice(first - self.kz_first, first - self.kz_first + _TAPS)
+        low = int(first) - self.kz_first
+        depth = slice(low, low + TAPS)
         near = self.harmonics[rows, columns, depth]
-        if near.shape != (along[1] - along[0] + 1, across[1] - across[0] + 1, _TAPS):
+        if near.shape != (along[1] - along[0] + 1, across[1] - across[0] + 1, TAPS):
             raise InputError("The screen was made for other directions or wavelengths; make it for these.")
         return np.asarray(near @ weight.astype(np.float32))
 
@@ -147,7 +136,7 @@ def phase_screen(field: HeightField, lens: Lens, lights: Sequence[Lighting]) -> 
             f"The topography is {nx * field.pitch_um:.3g} x {ny * field.pitch_um:.3g} um large and would show hardly "
             f"more than one speckle of this lens; make it at least {_FEWEST / fewest:.2g} times as large."
         )
-    along, across, kz_step = [], [], pi / max(float(np.ptp(heights)), _FLAT_UM)
+    along, across, kz_step = [], [], pi / range_of(heights)
     up = []
     for light in lights:
         kx, ky, kz = light.wave_vectors(lens)
@@ -157,8 +146,7 @@ def phase_screen(field: HeightField, lens: Lens, lights: Sequence[Lighting]) -> 
         up += [float(kz.min()), float(kz.max())]
     first_along, last_along = floor(min(along) / step_along) - 1, ceil(max(along) / step_along) + 1
     reach = min(ceil(max(across) / step_across) + 1, ny // 2 - 1)
-    kz_first = floor(min(up) / kz_step) - (_TAPS // 2 - 1)
-    count = floor(max(up) / kz_step) + _TAPS // 2 + 1 - kz_first
+    kz_first, count = grid_for(min(up), max(up), kz_step)
     wanted = np.arange(first_along, last_along + 1) % nx
     harmonics = np.empty((wanted.size, 2 * reach + 1, count), dtype=np.complex64)
     rows = max(1, _AT_ONCE // (nx * count))

@@ -14,10 +14,9 @@ from analysis.figures.budget import (
     budget_table,
     relative_in_words,
     share_in_words,
-    side_by_side,
 )
 from analysis.figures.notation import uncertainty
-from analysis.figures.svg import INK
+from analysis.figures.svg import INK, side_by_side
 from drivers.arrays import FloatArray
 from goniometer.datasets.budget import budget
 from goniometer.datasets.dataset import Dataset

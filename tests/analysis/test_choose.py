@@ -13,7 +13,7 @@ from analysis.reflectance.models import cook_torrance
 from analysis.results import ModelFit
 from analysis.scenes.asked import asked
 from analysis.scenes.brdf_table import BrdfTable, Reference, folded, reference_table, table_nodes
-from analysis.scenes.choose import FEWER, NODES, choose, nodes, without_draws
+from analysis.scenes.choose import FEWER, NODES, choose, nodes
 from analysis.scenes.ladder import METAL_FITS, Lambert
 from analysis.scenes.rays import trace
 from analysis.scenes.scene import Scene
@@ -49,6 +49,11 @@ def _table(reflectance: Callable[[Directions, FloatArray], FloatArray], alpha: f
     one = Lambert(NODES, np.full(NODES.size, np.pi))
     table = BrdfTable(theta_h, theta_d, NODES, np.log(values), one)
     return Reference(table, np.zeros((1, theta_h.size, theta_d.size, 3)))
+
+
+def without_draws(reference: Reference) -> Reference:
+    """The reference as if the measurement knew everything, for a material that is a formula."""
+    return replace(reference, draws=np.zeros_like(reference.draws[:1]))
 
 
 def _tracer(scene: Scene) -> Callable[[int], Vertices]:

@@ -19,7 +19,7 @@ from analysis.scenes.scene import Scene
 from analysis.scenes.vertices import Reflectance, display_for, image
 from drivers.arrays import FloatArray
 from goniometer.datasets.dataset import Dataset
-from simulators.costs.bench import drawn
+from simulators.costs.measurements import drawn
 from simulators.materials.surfaces import SANDED, mean_brdf
 
 CAMERA = {"position": (0.0, -4.0, 1.0), "pixels": (16, 16), "field_of_view": 32.0}

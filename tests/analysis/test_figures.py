@@ -8,11 +8,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from analysis.figures import panels
+from analysis.figures.curves import distributions, slopes, spectra
 from analysis.figures.filled import STEP
+from analysis.figures.maps import cell_edges, colour_map, difference_map, difference_scale
 from analysis.figures.notation import with_uncertainty
 from analysis.figures.shown_colours import Exposure, exposure_of
-from analysis.figures.svg import INK, hex_colour
+from analysis.figures.svg import INK, hex_colour, line_colours
 from analysis.fits.analyse import analyse
 from analysis.fits.noise import at_wavelength
 from analysis.results import SampleAnalysis
@@ -35,14 +36,14 @@ def _all(analysis: SampleAnalysis) -> list[str]:
     dataset = analysis.dataset
     exposure = exposure_of(dataset)
     return [
-        panels.colour_map(dataset, dataset.brdf, exposure, "a", "Measured", measured=True),
-        panels.colour_map(dataset, dataset.brdf, None, "b", "Hue"),
-        panels.difference_map(dataset, analysis.differences["cook-torrance"].absolute, 10, "c", "dE00"),
-        panels.difference_scale(10, "d"),
-        panels.distributions(dataset, "e"),
-        panels.spectra(dataset, analysis.local, "f"),
-        *panels.slopes(dataset, analysis.local, analysis.model("global"), "g"),
-        *panels.slopes(dataset, analysis.local, analysis.model("cook-torrance-shift"), "h"),
+        colour_map(dataset, dataset.brdf, exposure, "a", "Measured", measured=True),
+        colour_map(dataset, dataset.brdf, None, "b", "Hue"),
+        difference_map(dataset, analysis.differences["cook-torrance"].absolute, 10, "c", "dE00"),
+        difference_scale(10, "d"),
+        distributions(dataset, "e"),
+        spectra(dataset, analysis.local, "f"),
+        *slopes(dataset, analysis.local, analysis.model("global"), "g"),
+        *slopes(dataset, analysis.local, analysis.model("cook-torrance-shift"), "h"),
     ]
 
 
@@ -88,7 +89,7 @@ def test_a_flagged_cell_is_outlined_and_says_for_what(rough_analysis: SampleAnal
     flagged = replace(dataset, flags=flags)
 
     def drawn(measured: bool, of: Dataset) -> tuple[list[str], int]:
-        svg = panels.colour_map(of, of.brdf, exposure_of(of), "a", "Map", measured=measured)
+        svg = colour_map(of, of.brdf, exposure_of(of), "a", "Map", measured=measured)
         root = ElementTree.fromstring(svg)
         titles = [e.text or "" for e in root.iter(f"{SVG}title")]
         return titles, sum(e.get("stroke-dasharray") is not None for e in root.iter(f"{SVG}rect"))
@@ -110,7 +111,7 @@ def test_flagged_neighbours_have_one_outline(rough_analysis: SampleAnalysis) -> 
     flags = np.zeros_like(dataset.flags)
     flags[row] = Flag.BELOW_NOISE
     flagged = replace(dataset, flags=flags)
-    svg = panels.colour_map(flagged, dataset.brdf, exposure_of(dataset), "a", "Map", measured=True)
+    svg = colour_map(flagged, dataset.brdf, exposure_of(dataset), "a", "Map", measured=True)
     assert svg.count('stroke-dasharray="2 2"') == 1
 
 
@@ -118,13 +119,13 @@ def test_what_was_filled_says_so_in_map_and_curves_and_is_no_measured_cell(rough
     dataset = rough_analysis.dataset
     filled = fill(dataset, *unmeasured(dataset, STEP))
     exposure = exposure_of(dataset)
-    svg = panels.colour_map(dataset, dataset.brdf, exposure, "a", "Map", measured=True, filled=filled)
+    svg = colour_map(dataset, dataset.brdf, exposure, "a", "Map", measured=True, filled=filled)
     titles = [e.text or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}title")]
     assert sum("not measured" in title for title in titles) == filled.tells.sum() > 0
     assert sum("not measured" not in title for title in titles) == dataset.theta_in.size
-    curves = panels.distributions(dataset, "b", filled=filled)
+    curves = distributions(dataset, "b", filled=filled)
     assert "filled by interpolation, not measured" in curves
-    assert "not measured" not in panels.distributions(dataset, "c")
+    assert "not measured" not in distributions(dataset, "c")
 
 
 def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(
@@ -136,7 +137,7 @@ def test_cells_lie_around_their_point_and_never_over_the_blocked_sector(
     theta_out = random.permutation(dataset.theta_out + 0.01 * np.sign(dataset.theta_in + dataset.theta_out))
     seen = np.abs(dataset.theta_in + theta_out) > 5.1
     theta_in, theta_out = theta_in[seen], theta_out[seen]
-    left, right, bottom, top = panels.cell_edges(replace(dataset, theta_in=theta_in, theta_out=theta_out)).T
+    left, right, bottom, top = cell_edges(replace(dataset, theta_in=theta_in, theta_out=theta_out)).T
     assert np.all((left <= theta_out) & (theta_out <= right))
     assert np.all((bottom < theta_in) & (theta_in < top))
     back = -np.round(theta_in / 10) * 10
@@ -161,7 +162,7 @@ def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: Samp
         sources=(ErrorSource("random: counts", "random", 0.01 * brdf, None, False),),
         flags=np.zeros(3, dtype=np.uint16),
     )
-    svg = panels.colour_map(small, brdf, Exposure(1.0, 0), "x", "x")
+    svg = colour_map(small, brdf, Exposure(1.0, 0), "x", "x")
     fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
     assert fills[0] == "#ffffff"
     assert fills[2] in ("#7f7f7f", "#808080")
@@ -172,7 +173,7 @@ def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: Samp
 
 def test_lines_can_be_told_from_a_white_and_from_a_black_page() -> None:
     # WCAG 2.2, success criterion 1.4.11: graphics need a contrast of 3 : 1
-    for colour in panels.line_colours(12):
+    for colour in line_colours(12):
         channels = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
         linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
         luminance = float(linear @ [0.2126, 0.7152, 0.0722])
@@ -186,17 +187,17 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     brdf[4, 20:30] = np.nan
     brdf[5] = np.nan
     gap = replace(dataset, brdf=brdf)
-    svg = panels.colour_map(gap, brdf, exposure_of(gap), "x", "x")
+    svg = colour_map(gap, brdf, exposure_of(gap), "x", "x")
     assert "#80808026" in svg
-    ElementTree.fromstring(panels.distributions(gap, "y"))
-    ElementTree.fromstring(panels.spectra(gap, rough_analysis.local, "z"))
+    ElementTree.fromstring(distributions(gap, "y"))
+    ElementTree.fromstring(spectra(gap, rough_analysis.local, "z"))
 
 
 def test_a_sample_that_drowns_in_noise_still_gets_its_report(rough_analysis: SampleAnalysis) -> None:
     dataset = rough_analysis.dataset
     noise = ErrorSource("random: counts", "random", dataset.brdf, None, False)
     noisy = replace(dataset, sources=(noise,))
-    svg = panels.spectra(noisy, rough_analysis.local, "z")
+    svg = spectra(noisy, rough_analysis.local, "z")
     assert "no spectrum stands clear of its noise" in "".join(ElementTree.fromstring(svg).itertext())
 
 

@@ -12,8 +12,8 @@ from analysis.colour import rgb_to_xyz
 from analysis.errors import ExportError, RenderError
 from analysis.fits.brdf_fit import form_of
 from analysis.mitsuba.export_plugin import plugin_material, plugin_scene
-from analysis.mitsuba.render import VARIANTS, Pictures, Variant, compare, render_scenes, working_variant
 from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_render import VARIANTS, Pictures, Variant, compare, render_scenes, working_variant
 from analysis.mitsuba.vase_scene import vase, vase_scene
 from analysis.reflectance.fresnel import load_conductor
 from analysis.scenes.ladder import Microfacet

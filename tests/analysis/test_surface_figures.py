@@ -10,7 +10,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.image import imread
 
-from analysis.figures.surfaces import (
+from analysis.figures.topographies import (
     autocorrelation_figure,
     height_histogram,
     perspective,

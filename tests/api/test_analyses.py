@@ -13,7 +13,7 @@ from matplotlib.image import imread
 
 from analysis.strict_json import strict_json
 from analysis.tradeoff import charts_json
-from api.choices import Kind
+from api.choices import ChartKind
 from api.results.choose import choice_content, choice_pictures, choose_model
 from api.results.stability import stability_content
 from api.results.tradeoff import charts
@@ -63,7 +63,7 @@ def test_what_an_older_version_has_kept_is_refused_in_words(stability: dict[str,
 
 @pytest.mark.slow
 def test_a_scan_of_the_chart_is_a_campaign_that_plans_as_many_points() -> None:
-    made = charts(Kind.SCANS, drawn_dataset("sample-4"), "", "", 1, lambda _: None, dielectric=False)
+    made = charts(ChartKind.SCANS, drawn_dataset("sample-4"), "", "", 1, lambda _: None, dielectric=False)
     shown = tradeoff(3, json.loads(strict_json({"charts": charts_json(made)})))
     uses = [way.use for way in shown.charts[0].choices]
     assert all(use is not None and use.kind == "campaign" for use in uses)

@@ -19,11 +19,12 @@ from api import calls
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.bodies.jobs import DoctorArguments
+from api.choices import ChartKind
 from api.client import Client as PythonClient
 from api.jobs import rows
 from api.results.choose import choice_content, choose_model
 from api.results.products import report_dataset
-from api.results.tradeoff import Kind, charts
+from api.results.tradeoff import charts
 from api.web.live import Live, open_live
 from goniometer.storage.database import Database
 from goniometer.storage.store import Store
@@ -127,7 +128,7 @@ def test_the_map_of_stability_is_the_one_that_python_draws(service: Service) -> 
 def test_a_chart_of_speed_against_accuracy_has_the_errors_that_python_finds(service: Service) -> None:
     client, live = service
     found = result(client, client.post("/api/tradeoff", {"kinds": ["fits"], "dataset": 1, "rounds": 1}))
-    here = charts(Kind.FITS, live.store.dataset(1), "sample-4", "sample-1", 1, lambda _: None, dielectric=False)
+    here = charts(ChartKind.FITS, live.store.dataset(1), "sample-4", "sample-1", 1, lambda _: None, dielectric=False)
     for told, chart in zip(found["charts"], here, strict=True):
         errors = {(each["family"], each["name"]): each["error"] for each in told["choices"]}
         assert errors == pytest.approx({(each.family, each.name): each.error for each in chart.choices}, rel=1e-6)

@@ -14,7 +14,7 @@ from api.commands.main import main
 from drivers.arrays import FloatArray
 from goniometer.plans.plan_spec import PlanSpec
 from simulators.costs import simulations
-from simulators.costs.bench import drawn
+from simulators.costs.measurements import drawn
 from simulators.costs.scans import scan_charts
 from simulators.costs.simulations import simulation_charts
 from simulators.materials.materials import material, true_brdf

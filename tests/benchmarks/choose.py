@@ -27,13 +27,14 @@ from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from analysis.reflectance.models import cook_torrance, cosine_slope, shift, theta_m
 from analysis.results import ModelFit
 from analysis.scenes.brdf_table import BrdfTable, Reference, reference_table
-from analysis.scenes.choose import NODES, choose, without_draws
+from analysis.scenes.choose import NODES, choose
 from analysis.scenes.ladder import METAL_FITS, roughness
 from analysis.scenes.rays import trace
 from analysis.scenes.scene import Scene
 from analysis.scenes.vertices import Vertices
 from drivers.arrays import FloatArray
 from tests.analysis.conftest import _measure
+from tests.analysis.test_choose import without_draws
 from tests.benchmarks.figures import tell
 
 TOLERANCE = 1.0

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.figures.panels import line_colours
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, line_colours, new_axes, style, to_svg
 from analysis.fits.local_fit import local_fit
 from analysis.reflectance.fresnel import load_conductor
 from simulators.choices import Kernel

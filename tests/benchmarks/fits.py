@@ -25,12 +25,13 @@ from analysis.fits.loew import LoewData, loew_data
 from analysis.reflectance.directions import in_plane, round_aperture
 from analysis.reflectance.fresnel import fresnel_conductor, load_conductor
 from analysis.reflectance.microfacet import Form, View
-from analysis.reflectance.models import measured_cook_torrance, normalised_fresnel
+from analysis.reflectance.models import normalised_fresnel
 from analysis.results import LocalFit
 from drivers.arrays import FloatArray
 from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource
 from tests.benchmarks.figures import tell
+from tests.measured_lobe import measured_cook_torrance
 
 NOISE = 0.01
 

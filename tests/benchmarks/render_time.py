@@ -19,12 +19,11 @@ import numpy as np
 from analysis.bsdf.export import BsdfReport, write_bsdf
 from analysis.errors import RenderError
 from analysis.figures.page import figure, page
-from analysis.figures.panels import SEQUENCE
-from analysis.figures.svg import new_axes, style, to_svg
+from analysis.figures.svg import SEQUENCE, new_axes, style, to_svg
 from analysis.fits.brdf_fit import form_of
 from analysis.mitsuba.export_plugin import plugin_material
-from analysis.mitsuba.render import VARIANTS, Pictures, Variant, compare, render_scenes
 from analysis.mitsuba.run import bsdf_element
+from analysis.mitsuba.vase_render import VARIANTS, Pictures, Variant, compare, render_scenes
 from analysis.mitsuba.vase_scene import DEPTH, SceneFiles, vase_scene
 from analysis.reflectance.fresnel import load_conductor
 from analysis.results import Albedo

@@ -21,9 +21,9 @@ from drivers.arrays import FloatArray
 from goniometer.interpolation.interpolant import predict_values
 from goniometer.plans.plan import Measured, interpolation, next_points
 from goniometer.plans.plan_spec import PlanSpec, segments
-from goniometer.plans.sweep import Swept, averaged
+from goniometer.plans.sweep import Swept
 from tests.benchmarks.figures import tell
-from tests.goniometer.test_sweep import intervals
+from tests.goniometer.test_sweep import averaged, intervals
 
 THETA_IN = 30.0
 SPEC = PlanSpec((THETA_IN,), tolerance=0.005, colour_tolerance=None, most_points=120)

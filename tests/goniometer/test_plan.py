@@ -9,7 +9,6 @@ import pytest
 
 from analysis.reflectance.directions import round_aperture
 from analysis.reflectance.fresnel import load_conductor
-from analysis.reflectance.models import measured_cook_torrance
 from goniometer.bench.route import Motion, StageMotion, travel
 from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.geometry import Geometry
@@ -24,6 +23,7 @@ from goniometer.plans.plan_spec import (
     segments,
     uniform_grid_size,
 )
+from tests.measured_lobe import measured_cook_torrance
 
 BANDS = np.array([450.0, 550.0, 650.0, 800.0])
 SPEC = PlanSpec((0.0, 30.0, 60.0, 80.0), tolerance=0.002, colour_tolerance=None)

@@ -7,7 +7,7 @@ from goniometer.geometry import Geometry
 from goniometer.interpolation.interpolant import predict_values
 from goniometer.plans.plan import Measured, interpolation, next_points, reached
 from goniometer.plans.plan_spec import PlanSpec, segments
-from goniometer.plans.sweep import Swept, averaged, searched, summits, unexplained
+from goniometer.plans.sweep import Swept, searched, summits, unexplained
 
 SPEC = PlanSpec((30.0,), tolerance=0.005, colour_tolerance=None)
 NARROW = 1.5
@@ -27,6 +27,14 @@ def sheet(place, height):
 def intervals(parts, step):
     """Of theta_out, degrees, one after the other; a part's last one ends with it."""
     return [(a, min(a + step, high)) for low, high in parts for a in np.arange(low, high, step).tolist()]
+
+
+def averaged(brdf, theta_in, interval):
+    """[bands] of a function [points, bands] of theta_in and theta_out, averaged over an interval of theta_out."""
+    low, high = interval
+    count = max(int(np.ceil((high - low) / 0.1)), 1)
+    at = low + (np.arange(count) + 0.5) * (high - low) / count
+    return brdf(np.full(count, theta_in), at).mean(axis=0)
 
 
 def swept(brdf, random):

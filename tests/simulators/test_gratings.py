@@ -13,11 +13,11 @@ from simulators.waves.gratings import (
     grating_brdf,
     order_angles,
     ring,
-    sinusoidal_efficiencies,
     spread_periods,
     straight_lines,
 )
 from simulators.waves.waves import averaged, averaged_brdf
+from tests.thin_grating import sinusoidal_efficiencies
 
 
 def test_longer_waves_are_bent_further_and_some_orders_do_not_exist() -> None:

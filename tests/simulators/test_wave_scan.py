@@ -14,10 +14,11 @@ from simulators.topographies.heights import HeightField
 from simulators.topographies.synthesis import gaussian, gaussian_correlation
 from simulators.waves.convergence import HALF_STEP, TWICE_STEP
 from simulators.waves.diffraction import Coherence
-from simulators.waves.gratings import order_angles, sinusoidal_efficiencies
+from simulators.waves.gratings import order_angles
 from simulators.waves.multiple_reflection import combined, kz_reach, multiply_reflected, shift_of_multiple
 from simulators.waves.scan import Patches, Setup, average, choose_patches, fine_enough, seen, spread, tiles
 from simulators.waves.simulation import WaveSimulation, simulate
+from tests.thin_grating import sinusoidal_efficiencies
 
 WAVELENGTHS = np.linspace(450.0, 750.0, 7)
 

@@ -1,4 +1,4 @@
-"""Renders scenes by turns with Mitsuba, in a process of its own: `python -m analysis.mitsuba.render_worker FOLDER`.
+"""Renders scenes by turns with Mitsuba, in a process of its own: `python -m analysis.mitsuba.vase_worker FOLDER`.
 
 The folder holds the scenes and `job.json`; `out.npz` is left in it: of every scene its pictures and how long they took,
 and which pixels show nothing but the material. A vectorised variant may end the process without a word.

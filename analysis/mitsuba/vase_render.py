@@ -120,7 +120,7 @@ def render_scenes(scenes: list[SceneFiles], variant: Variant, samples: int, seed
             "shape": _SHAPE,
         }
         (folder / "job.json").write_text(json.dumps(job))
-        found = run_worker("analysis.mitsuba.render_worker", folder)
+        found = run_worker("analysis.mitsuba.vase_worker", folder)
         return Pictures(rgb_to_xyz(found["images"]), found["seconds"], found["cpu_seconds"], found["covered"])
 
 

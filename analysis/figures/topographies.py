@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from analysis.figures.panels import SEQUENCE
-from analysis.figures.svg import INK, new_axes, style, to_svg
+from analysis.figures.svg import INK, SEQUENCE, new_axes, style, to_svg
 from drivers.arrays import FloatArray
 
 if TYPE_CHECKING:
