@@ -4,7 +4,7 @@ from html import escape
 
 import numpy as np
 
-from analysis.choices import BRDF_MODELS
+from analysis.choices import BRDF_MODELS, MODEL_NAMES
 from analysis.figures.albedo import albedo_curves
 from analysis.figures.maps import colour_map, difference_map, difference_scale
 from analysis.figures.notation import roughly, uncertainty, with_uncertainty
