@@ -11,12 +11,11 @@ ServiceError
 """
 
 import asyncio
-import json
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self, TypeVar, cast, get_args
 
 import httpx
 import httpx_sse
@@ -28,6 +27,7 @@ import drivers.errors
 import goniometer.errors
 from api import calls
 from api.bodies.base import Page
+from api.bodies.events import AnyData, EventKind, read_data
 from api.bodies.jobs import OPEN, JobView
 from api.bodies.service import PROBLEM, Problem
 from api.call import Call
@@ -82,9 +82,10 @@ class JobFailed(ServiceError):
 class Event:
     """Something that happened on the bench or around it."""
 
-    kind: str
-    """"state", "progress", "point", "spectrum", "queue", "mount", "job", "alarm", "log"; "reset": some were missed."""
-    data: dict[str, Any]
+    kind: EventKind
+    """Of what it tells; "reset": some were missed, so read everything anew."""
+    data: AnyData
+    """What it tells: `api.bodies.events.EventData` says which model each kind has."""
     name: str
     """By which the stream goes on after it."""
 
@@ -150,7 +151,7 @@ class Client:
                     tries = 0
                     for sent in source.iter_sse():
                         after = sent.id or after
-                        yield _event(sent)
+                        yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:
@@ -212,7 +213,7 @@ class AsyncClient:
                     tries = 0
                     async for sent in source.aiter_sse():
                         after = sent.id or after
-                        yield _event(sent)
+                        yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:
@@ -236,8 +237,12 @@ def _answer(call: Call[T], response: httpx.Response) -> T:
     try:
         return call.read(response)
     except ValidationError as error:
-        told = f"{response.url} answers something else than this client expects; use the client of its version"
-        raise Unreachable(told, response.request) from error
+        raise _stranger(response) from error
+
+
+def _stranger(response: httpx.Response) -> Unreachable:
+    told = f"{response.url} answers something else than this client expects; use the client of its version"
+    return Unreachable(told, response.request)
 
 
 def _refusal(response: httpx.Response) -> Exception:
@@ -304,5 +309,11 @@ def _check_stream(response: httpx.Response, read: Callable[[], object]) -> None:
         raise _refusal(response)
 
 
-def _event(sent: httpx_sse.ServerSentEvent) -> Event:
-    return Event(sent.event, cast(dict[str, Any], json.loads(sent.data)), sent.id)
+def _event(sent: httpx_sse.ServerSentEvent, response: httpx.Response) -> Event:
+    kind = cast(EventKind, sent.event)
+    if kind not in get_args(EventKind):
+        raise _stranger(response)
+    try:
+        return Event(kind, read_data(kind, sent.data), sent.id)
+    except ValidationError as error:
+        raise _stranger(response) from error

@@ -35,6 +35,7 @@ from api.bench.messages import Answer, Call, Doing, Done, Message, Refusal, Told
 from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
 from api.bodies.bench import Alarm, BenchState, Driver
+from api.bodies.events import Notice
 from api.errors import Conflict
 from api.logs import log_to_stderr
 from drivers.errors import DriverError
@@ -83,7 +84,7 @@ class _Worker:
         """Whether another process of this machine has locked the database."""
         self.told: BenchState | None = None
         self.spectrum: int | None = None
-        self.outbox: SimpleQueue[Any] = SimpleQueue()
+        self.outbox: SimpleQueue[Message] = SimpleQueue()
 
     async def serve(self) -> None:
         """Take the lease when it is free, and work until the service ends."""
@@ -388,5 +389,5 @@ class _Telling(logging.Handler):
         self.worker = worker
 
     def emit(self, record: logging.LogRecord) -> None:
-        told = {"level": record.levelname.lower(), "message": record.getMessage(), "moment": now()}
-        self.worker.say(Told("alarm" if record.levelno >= logging.ERROR else "log", told))
+        notice = Notice(level=record.levelname.lower(), message=record.getMessage(), moment=now())
+        self.worker.say(Told("alarm" if record.levelno >= logging.ERROR else "log", notice))

@@ -1,0 +1,100 @@
+"""What events tell has the shape that the service documents."""
+
+import ast
+import json
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from httpx_sse import ServerSentEvent, connect_sse
+from jsonschema import Draft202012Validator
+
+from api import calls
+from api.bodies.bench import Prompt
+from api.bodies.events import EntryChanged, EventData, EventKind, PointDone, PromptGone
+from api.bodies.jobs import ExportAsked
+from api.client import Client, Event
+from tests.served import TINY, served, wait_for
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Heard:
+    """All that a service has told of a campaign, an export, and a bench that ended by itself."""
+
+    lines: list[ServerSentEvent]
+    """As they were sent."""
+    events: list[Event]
+    """The same, as the client reads them."""
+    document: dict[str, Any]
+    """OpenAPI."""
+    measured: int
+    """Points in the database."""
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Heard]:
+    """From the first event of a service on."""
+    with served(tmp_path_factory.mktemp("events")) as service:
+        token = service.client.headers["authorization"].removeprefix("Bearer ")
+        number = service.ordered(TINY)
+        while (entry := service.entry(number))["outcome"] is None:
+            if entry["prompt"] is not None:
+                service.client.post(f"/api/queue/{number}/mounted")
+            wait_for(lambda before=entry: service.entry(number) != before)
+        assert entry["outcome"] == "completed", entry["reason"]
+        with Client(service.url, token) as client:
+            client.wait(client(calls.export(1, ExportAsked(format="json"))))
+            os.kill(service.state()["driver"]["process"], signal.SIGKILL)
+            wait_for(lambda: service.state()["driver"] is None)
+            wait_for(lambda: service.state()["driver"])
+            with connect_sse(service.client, "GET", "/api/events", headers={"Last-Event-ID": "unknown"}) as source:
+                lines = [next(source.iter_sse())]
+            run, _, count = lines[0].id.rpartition("-")
+            first = f"{run}-0"
+            with connect_sse(service.client, "GET", "/api/events", headers={"Last-Event-ID": first}) as source:
+                lines += list(islice(source.iter_sse(), int(count)))
+            lost, listening = client.events("unknown"), client.events(first)
+            events = [next(lost), *islice(listening, int(count))]
+            for stream in (lost, listening):
+                stream.close()  # type: ignore[attr-defined]
+        document = service.client.get("/api/openapi.json").json()
+        measured = sum(len(service.live.store.points(scan.id)) for scan in service.live.store.scans())
+        yield Heard(lines, events, document, measured)
+
+
+@pytest.mark.slow
+def test_every_event_of_a_campaign_has_the_shape_that_the_service_documents(heard: Heard) -> None:
+    assert {line.event for line in heard.lines} == set(EventData.model_fields)
+    for line in heard.lines:
+        where = f"#/components/schemas/EventData/properties/{line.event}"
+        schema = {"$ref": where, "components": heard.document["components"]}
+        Draft202012Validator(schema).validate(json.loads(line.data))
+
+
+@pytest.mark.slow
+def test_a_script_reads_every_event_as_a_model_that_loses_nothing_of_it(heard: Heard) -> None:
+    assert [(event.kind, event.name) for event in heard.events] == [(line.event, line.id) for line in heard.lines]
+    for event, line in zip(heard.events, heard.lines, strict=True):
+        assert event.data.model_dump(mode="json") == json.loads(line.data), event.kind
+    told = [event.data for event in heard.events]
+    points = [data for data in told if isinstance(data, PointDone)]
+    assert len(points) == heard.measured
+    asked = [data for data in told if isinstance(data, Prompt | PromptGone)]
+    assert [type(data) for data in asked] == [Prompt, PromptGone] * 2, "the panel and the sample"
+    assert {data.entry for data in told if isinstance(data, EntryChanged)} == {asked[0].entry}
+
+
+def test_nothing_is_told_of_a_kind_that_is_not_documented() -> None:
+    told = set()
+    for file in (ROOT / "api").rglob("*.py"):
+        for call in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(call, ast.Call) and ast.unparse(call.func).rpartition(".")[2] in {"publish", "Told"}:
+                told |= {part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)}
+    assert told | {"reset"} == set(EventData.model_fields) == set(get_args(EventKind))
