@@ -151,7 +151,8 @@ class Client:
                     tries = 0
                     for sent in source.iter_sse():
                         after = sent.id or after
-                        yield _event(sent, source.response)
+                        if sent.data:  # a heartbeat has none
+                            yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:
@@ -213,7 +214,8 @@ class AsyncClient:
                     tries = 0
                     async for sent in source.aiter_sse():
                         after = sent.id or after
-                        yield _event(sent, source.response)
+                        if sent.data:  # a heartbeat has none
+                            yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:

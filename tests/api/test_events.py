@@ -4,6 +4,7 @@ import ast
 import json
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -16,7 +17,7 @@ from jsonschema import Draft202012Validator
 
 from api import calls
 from api.bodies.bench import Prompt
-from api.bodies.events import EntryChanged, EventData, EventKind, PointDone, PromptGone
+from api.bodies.events import EntryChanged, EventData, EventKind, PointDone, PromptGone, QueueChanged
 from api.bodies.jobs import ExportAsked
 from api.client import Client, Event
 from tests.served import TINY, served, wait_for
@@ -89,6 +90,24 @@ def test_a_script_reads_every_event_as_a_model_that_loses_nothing_of_it(heard: H
     asked = [data for data in told if isinstance(data, Prompt | PromptGone)]
     assert [type(data) for data in asked] == [Prompt, PromptGone] * 2, "the panel and the sample"
     assert {data.entry for data in told if isinstance(data, EntryChanged)} == {asked[0].entry}
+
+
+@pytest.mark.slow
+def test_a_script_hears_on_when_nothing_has_happened_for_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("api.events.HEARTBEAT", 0.05)
+    with served(tmp_path) as service:
+        token = service.client.headers["authorization"].removeprefix("Bearer ")
+        wait_for(lambda: service.state()["driver"])
+        with Client(service.url, token) as client:
+            listening = client.events("unknown")
+            assert next(listening).kind == "reset"
+            later = threading.Timer(1.0, service.live.events.publish, ("queue", EntryChanged(entry=7)))
+            later.start()
+            told = next(event for event in listening if event.kind == "queue" and event.data != QueueChanged())
+            listening.close()  # type: ignore[attr-defined]
+        assert told.data == EntryChanged(entry=7)
 
 
 def test_nothing_is_told_of_a_kind_that_is_not_documented() -> None:
