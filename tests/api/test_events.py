@@ -1,7 +1,9 @@
-"""What events tell has the shape that the service documents."""
+"""What events tell has the shape that the service documents, and who missed some is told so."""
 
 import ast
+import asyncio
 import json
+import multiprocessing
 import os
 import signal
 import threading
@@ -16,10 +18,16 @@ from httpx_sse import ServerSentEvent, connect_sse
 from jsonschema import Draft202012Validator
 
 from api import calls
-from api.bodies.bench import Prompt
+from api.bench.link import Link
+from api.bench.messages import Told
+from api.bench.runner import Task
+from api.bench.worker import UNHEARD, _Worker
+from api.bodies.bench import Alarm, BenchState, Prompt
 from api.bodies.events import EntryChanged, EventData, EventKind, PointDone, PromptGone, QueueChanged
 from api.bodies.jobs import ExportAsked
 from api.client import Client, Event
+from api.events import Events
+from goniometer.storage.store import Store
 from tests.served import TINY, served, wait_for
 
 ROOT = Path(__file__).parents[2]
@@ -116,4 +124,46 @@ def test_nothing_is_told_of_a_kind_that_is_not_documented() -> None:
         for call in ast.walk(ast.parse(file.read_text("utf-8"))):
             if isinstance(call, ast.Call) and ast.unparse(call.func).rpartition(".")[2] in {"publish", "Told"}:
                 told |= {part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)}
-    assert told | {"reset"} == set(EventData.model_fields) == set(get_args(EventKind))
+    assert told == set(EventData.model_fields) == set(get_args(EventKind))
+
+
+def test_a_service_that_could_not_hear_its_bench_lets_everybody_read_anew_what_is_up_to_date(tmp_path: Path) -> None:
+    here, there = multiprocessing.Pipe()
+    task = Task(tmp_path / "bench.db", tmp_path, None, "http://127.0.0.1:1", mounts_by_itself=True, bench="bench")
+    worker, events = _Worker(there, task), Events()
+    store = Store.open(task.database)
+    link = Link(task, store, events)
+
+    def hear() -> None:
+        while here.poll(1.0):
+            link._hear(here.recv())
+
+    async def listen() -> list[tuple[str, str]]:
+        events.attach(asyncio.get_running_loop())
+        stream = events.subscribe()
+        await anext(stream)
+        worker.tell_state()
+        point = PointDone(scan=1, theta_in=30.0, theta_out=-10.0, done=1, failed=0, expected=9)
+        while not worker.unheard:  # what the pipe holds, and what waits behind it
+            worker.say(Told("point", point))
+        worker.bench.alarm = Alarm(text="The lamp is out.", since="2026-01-01T00:00:00+00:00")
+        await worker._look_once()
+        assert worker.outbox.qsize() >= UNHEARD, "nothing more waits than before"
+        await asyncio.to_thread(hear)
+        assert (link.state.alarms, worker.state().alarms) == ((), (worker.bench.alarm,))
+        await anext(stream)
+        await worker._look_once()
+        await asyncio.to_thread(hear)
+        told = [(event.kind, event.text) for event in await anext(stream)]
+        await worker._look_once()
+        assert not here.poll(1.0), "it is told once"
+        return told
+
+    threading.Thread(target=worker._send, daemon=True).start()
+    told = asyncio.run(listen())
+    assert [kind for kind, _ in told] == ["state", "reset"]
+    assert BenchState.model_validate_json(told[0][1]) == worker.state() == link.state
+    assert told[1][1] == "{}"
+    worker.store.close()
+    store.close()
+    here.close()
