@@ -12,12 +12,11 @@ ServiceError
 """
 
 import asyncio
-import json
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self, TypeVar, cast, get_args
 
 import httpx
 import httpx_sse
@@ -25,6 +24,7 @@ from pydantic import ValidationError
 
 from api import calls
 from api.bodies.base import Page
+from api.bodies.events import AnyData, EventKind, read_data
 from api.bodies.jobs import OPEN, JobView
 from api.bodies.service import PROBLEM, Problem
 from api.call import Call
@@ -80,9 +80,10 @@ class JobFailed(ServiceError):
 class Event:
     """Something that happened on the bench or around it."""
 
-    kind: str
-    """"state", "progress", "point", "spectrum", "queue", "mount", "job", "alarm", "log"; "reset": some were missed."""
-    data: dict[str, Any]
+    kind: EventKind
+    """Of what it tells; "reset": some were missed, so read everything anew."""
+    data: AnyData
+    """What it tells: `api.bodies.events.EventData` says which model each kind has."""
     name: str
     """By which the stream goes on after it."""
 
@@ -148,7 +149,8 @@ class Client:
                     tries = 0
                     for sent in source.iter_sse():
                         after = sent.id or after
-                        yield _event(sent)
+                        if sent.data:  # a heartbeat has none
+                            yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:
@@ -210,7 +212,8 @@ class AsyncClient:
                     tries = 0
                     async for sent in source.aiter_sse():
                         after = sent.id or after
-                        yield _event(sent)
+                        if sent.data:  # a heartbeat has none
+                            yield _event(sent, source.response)
             except httpx.TransportError as error:
                 tries += 1
                 if tries > _TRIES:
@@ -234,8 +237,12 @@ def _answer(call: Call[T], response: httpx.Response) -> T:
     try:
         return call.read(response)
     except ValidationError as error:
-        told = f"{response.url} answers something else than this client expects; use the client of its version"
-        raise Unreachable(told, response.request) from error
+        raise _stranger(response) from error
+
+
+def _stranger(response: httpx.Response) -> Unreachable:
+    told = f"{response.url} answers something else than this client expects; use the client of its version"
+    return Unreachable(told, response.request)
 
 
 def _refusal(response: httpx.Response) -> Exception:
@@ -286,5 +293,11 @@ def _check_stream(response: httpx.Response, read: Callable[[], object]) -> None:
         raise _refusal(response)
 
 
-def _event(sent: httpx_sse.ServerSentEvent) -> Event:
-    return Event(sent.event, cast(dict[str, Any], json.loads(sent.data)), sent.id)
+def _event(sent: httpx_sse.ServerSentEvent, response: httpx.Response) -> Event:
+    kind = cast(EventKind, sent.event)
+    if kind not in get_args(EventKind):
+        raise _stranger(response)
+    try:
+        return Event(kind, read_data(kind, sent.data), sent.id)
+    except ValidationError as error:
+        raise _stranger(response) from error

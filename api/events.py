@@ -9,13 +9,11 @@ import json
 import secrets
 import threading
 from collections import deque
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Literal
 
-EventKind = Literal["state", "progress", "point", "spectrum", "queue", "mount", "job", "alarm", "log", "reset"]
-"""What an event is about; "reset" says that some were missed."""
+from api.bodies.events import AnyData, EventKind
 
 KEPT = 2000
 """Events that are kept for listeners who come back."""
@@ -32,7 +30,7 @@ class Event:
     number: int
     kind: EventKind
     text: str
-    """Its data as JSON in one line."""
+    """Its data as JSON in one line; `api.bodies.events.EventData` has the shape of every kind."""
 
 
 class Events:
@@ -55,10 +53,11 @@ class Events:
         self._loop = loop
         self._beat = loop.call_later(HEARTBEAT, self._wake)
 
-    def publish(self, kind: EventKind, data: Mapping[str, Any] | str) -> None:
-        """Tell all listeners; `data` must be what JSON can say, or is JSON in one line already."""
+    def publish(self, kind: EventKind, data: AnyData | str) -> None:
+        """Tell all listeners; `data` are what `EventData` says of the kind, or are that as JSON in one line already."""
         if not isinstance(data, str):
-            data = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+            told = data.model_dump(mode="json")
+            data = json.dumps(told, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
         with self._lock:
             self._count += 1
             self._kept.append(Event(self._count, kind, data))

@@ -21,6 +21,7 @@ from api.bench.operated import set_point
 from api.bench.runner import Task
 from api.bench.worker import main
 from api.bodies.bench import BenchState
+from api.bodies.events import Notice, SpectrumRead
 from api.errors import Conflict
 from api.events import Events
 from api.named_errors import error_named
@@ -158,7 +159,7 @@ class Link:
             if not self._closing:
                 message = f"The process that drives the bench has ended (code {process.exitcode}) and is started anew"
                 log.error(message)
-                self._events.publish("alarm", {"level": "error", "message": message, "moment": now()})
+                self._events.publish("alarm", Notice(level="error", message=message, moment=now()))
                 time.sleep(RESTART)
 
     def _listen(self, connection: Connection) -> None:
@@ -175,14 +176,14 @@ class Link:
                 self._events.publish("state", self.shown)
             case Snapshot():
                 self.snapshot = message
-                told = {
-                    "number": message.number,
-                    "integration_time": message.integration_time,
-                    "brightest": int(message.counts.max()),
-                    "saturation": message.saturation,
-                    "shutter": message.shutter,
-                }
-                self._events.publish("spectrum", told)
+                read = SpectrumRead(
+                    number=message.number,
+                    integration_time=message.integration_time,
+                    brightest=int(message.counts.max()),
+                    saturation=message.saturation,
+                    shutter=message.shutter,
+                )
+                self._events.publish("spectrum", read)
             case Told(kind, data):
                 self._events.publish(kind, data)
             case Doing(number, share, words):

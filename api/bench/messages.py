@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from api.bodies.bench import BenchState
-from api.events import EventKind
+from api.bodies.events import AnyData, EventKind
 from drivers.arrays import CountArray, FloatArray
 
 
@@ -69,7 +69,8 @@ class Told:
     """An event for all listeners."""
 
     kind: EventKind
-    data: dict[str, Any]
+    data: AnyData
+    """What `api.bodies.events.EventData` says of that kind."""
 
 
 @dataclass(frozen=True)

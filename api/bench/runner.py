@@ -14,6 +14,7 @@ from api.bench import queue
 from api.bench.messages import Told
 from api.bench.operated import OperatedBench
 from api.bodies.bench import Prompt, Running, Span
+from api.bodies.events import EntryChanged, Notice, PointDone, PromptGone, QueueChanged
 from api.errors import Conflict
 from api.mount_request import mount_request
 from api.preflight import preflight
@@ -199,35 +200,31 @@ class Runner:
         before, self._progress = self._progress, progress
         new_scan = before is None or before.scan_id != progress.scan_id
         if before is not None and not new_scan and progress.done > before.done and progress.geometry is not None:
-            self._say(
-                Told(
-                    "point",
-                    {
-                        "scan": progress.scan_id,
-                        "theta_in": progress.geometry.theta_in,
-                        "theta_out": progress.geometry.theta_out,
-                        "done": progress.done,
-                        "failed": progress.failed,
-                        "expected": progress.expected,
-                    },
-                )
+            point = PointDone(
+                scan=progress.scan_id,
+                theta_in=progress.geometry.theta_in,
+                theta_out=progress.geometry.theta_out,
+                done=progress.done,
+                failed=progress.failed,
+                expected=progress.expected,
             )
+            self._say(Told("point", point))
         moment = time.monotonic()
         if new_scan or before is None or before.phase != progress.phase or moment - self._told >= REPORT_EVERY:
             self._told = moment
             running = self.running
             assert running is not None  # it reports
-            self._say(Told("progress", running.model_dump(mode="json")))
+            self._say(Told("progress", running))
         if new_scan or before is None or before.phase != progress.phase:
             self._changed()
             self.tell_queue()
 
     def tell_queue(self) -> None:
         """Say that the queue has changed."""
-        self._say(Told("queue", {} if self.entry is None else {"entry": self.entry.id}))
+        self._say(Told("queue", QueueChanged() if self.entry is None else EntryChanged(entry=self.entry.id)))
 
     def _note(self, sentence: str) -> None:
-        self._say(Told("log", {"level": "info", "message": sentence, "moment": now()}))
+        self._say(Told("log", Notice(level="info", message=sentence, moment=now())))
 
     async def _ask(self, scan: Scan) -> None:
         """Ask for a sample, and return when somebody says that it is mounted."""
@@ -243,14 +240,14 @@ class Runner:
             check=check,
             since=now(),
         )
-        self._say(Told("mount", self.prompt.model_dump(mode="json")))
+        self._say(Told("mount", self.prompt))
         self._changed()
         self.tell_queue()
         try:
             await self._mounted
         finally:
             self.prompt = self._mounted = None
-            self._say(Told("mount", {"entry": self.entry.id, "scan": scan.id, "request": None}))
+            self._say(Told("mount", PromptGone(entry=self.entry.id, scan=scan.id, request=None)))
             self._changed()
             self.tell_queue()
 

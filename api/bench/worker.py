@@ -35,6 +35,7 @@ from api.bench.messages import Answer, Call, Doing, Done, Message, Refusal, Told
 from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
 from api.bodies.bench import Alarm, BenchState, Driver
+from api.bodies.events import Notice, Reset
 from api.errors import Conflict
 from api.logs import log_to_stderr
 from drivers.errors import DriverError
@@ -43,7 +44,7 @@ from goniometer.storage.records import now
 from goniometer.storage.store import Store
 
 UNHEARD = 1000
-"""Messages that may wait for the service to hear them; more are dropped."""
+"""Messages that may wait for the service to hear them; more are dropped, and it is told so once it hears again."""
 LOOK = 0.2
 """Seconds between two looks at the devices."""
 AGAIN = 0.1
@@ -83,7 +84,9 @@ class _Worker:
         """Whether another process of this machine has locked the database."""
         self.told: BenchState | None = None
         self.spectrum: int | None = None
-        self.outbox: SimpleQueue[Any] = SimpleQueue()
+        self.outbox: SimpleQueue[Message] = SimpleQueue()
+        self.unheard = False
+        """Whether messages were dropped of which the service does not know yet."""
 
     async def serve(self) -> None:
         """Take the lease when it is free, and work until the service ends."""
@@ -122,6 +125,8 @@ class _Worker:
         """Tell the service, from any thread; a service that does not listen holds nothing up."""
         if self.outbox.qsize() < UNHEARD or isinstance(message, Answer):
             self.outbox.put(message)
+        else:
+            self.unheard = True
 
     def _send(self) -> None:
         with suppress(OSError):  # the service is gone
@@ -330,11 +335,17 @@ class _Worker:
 
     async def _look_once(self) -> None:
         await self.bench.look()
+        missed = self.unheard and self.outbox.empty()
+        if missed:
+            self.unheard = False
+            self.told = self.spectrum = None  # it may have been them
         spectrum = self.bench.snapshot()
         if spectrum is not None and spectrum.number != self.spectrum:
             self.spectrum = spectrum.number
             self.say(spectrum)
         self.tell_state()
+        if missed:  # the last, so that who reads everything anew finds it as it is now
+            self.say(Told("reset", Reset()))
 
     def tell_state(self) -> None:
         """Say what the bench is at, where that has changed."""
@@ -388,5 +399,5 @@ class _Telling(logging.Handler):
         self.worker = worker
 
     def emit(self, record: logging.LogRecord) -> None:
-        told = {"level": record.levelname.lower(), "message": record.getMessage(), "moment": now()}
-        self.worker.say(Told("alarm" if record.levelno >= logging.ERROR else "log", told))
+        notice = Notice(level=record.levelname.lower(), message=record.getMessage(), moment=now())
+        self.worker.say(Told("alarm" if record.levelno >= logging.ERROR else "log", notice))

@@ -267,7 +267,7 @@ class Jobs:
             self._publish(job_id)
 
     def _publish(self, job_id: int) -> None:
-        self._events.publish("job", job_view(job_rows.job(self._store, job_id)).model_dump())
+        self._events.publish("job", job_view(job_rows.job(self._store, job_id)))
 
 
 def _log_fault(ended: "Future[None]") -> None:

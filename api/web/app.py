@@ -114,9 +114,9 @@ def _step_back() -> None:
 
 
 class _Application(FastAPI):
-    """Its OpenAPI document tells of the problems that every operation may answer."""
+    """Its OpenAPI document tells of the problems that every operation may answer, and of events."""
 
     def openapi(self) -> dict[str, Any]:
         if self.openapi_schema is None:
-            self.openapi_schema = describe_problems(super().openapi())
+            self.openapi_schema = describe_problems(events.describe_events(super().openapi()))
         return self.openapi_schema

@@ -3,11 +3,12 @@
 import time
 from collections.abc import AsyncIterator
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 
+from api.bodies.events import EventData, EventKind
 from api.errors import Unauthorised
 from api.events import Event, Events
 from api.web.access import Caller, needs, shown_by
@@ -19,11 +20,27 @@ LOOK_AGAIN = 15.0
 
 router = APIRouter(prefix="/api", tags=["events"])
 
+_SCHEMAS = "#/components/schemas/"
+
+
+def _line(kind: EventKind) -> dict[str, Any]:
+    """The schema of an event of that kind, as OpenAPI 3.2 describes server-sent events."""
+    told = {"$ref": f"{_SCHEMAS}{EventData.__name__}/properties/{kind}"}
+    fields = {
+        "id": {"type": "string"},
+        "event": {"const": kind},
+        "data": {"type": "string", "contentMediaType": "application/json", "contentSchema": told},
+    }
+    return {"type": "object", "required": list(fields), "properties": fields}
+
+
+_STREAM = {"schema": {"type": "string"}, "itemSchema": {"oneOf": [_line(kind) for kind in get_args(EventKind)]}}
+
 
 @router.get(
     "/events",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"text/event-stream": _STREAM}}},
 )
 async def events(
     request: Request,
@@ -33,12 +50,21 @@ async def events(
 ) -> StreamingResponse:
     """What happens, as it happens: state, progress, point, spectrum, queue, mount, job, alarm and log.
 
-    A stream that cannot go on where it stopped begins with `reset`: read everything anew. A comment comes every 15 s
-    where nothing happens. The stream ends soon after the session or the token with which it was asked for.
+    The schema `EventData` says what an event of each kind tells. `reset` says that events were missed: read everything
+    anew. A stream that cannot go on where it stopped begins with it. A comment comes every 15 s where nothing happens.
+    The stream ends soon after the session or the token with which it was asked for.
     """
     stream = _lines(request, live, live.events.subscribe(last_event_id))
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+
+
+def describe_events(schema: dict[str, Any]) -> dict[str, Any]:
+    """An OpenAPI document with the schema of what events tell, which is the model of no answer."""
+    told = EventData.model_json_schema(ref_template=_SCHEMAS + "{model}", mode="serialization")
+    parts = schema["components"]["schemas"]
+    schema["components"]["schemas"] = told.pop("$defs") | {EventData.__name__: told} | parts
+    return schema
 
 
 async def _lines(request: Request, live: Live, source: AsyncIterator[tuple[Event, ...]]) -> AsyncIterator[bytes]:

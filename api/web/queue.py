@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query, Request, Response
 from api.bench import queue
 from api.bodies.base import Page
 from api.bodies.campaigns import EntryView, Mounted, Order, Place
+from api.bodies.events import EntryChanged
 from api.errors import Conflict
 from api.web.access import Caller, needs
 from api.web.answers import Shared
@@ -67,7 +68,7 @@ def remove(request: Request, live: Here, caller: Operator, number: Number) -> No
     """Forget an entry; what was measured stays."""
     check_match(request, etag(queue.entry(live.store, number)))
     queue.remove_entry(live.store, number)
-    live.events.publish("queue", {"entry": number})
+    live.events.publish("queue", EntryChanged(entry=number))
 
 
 @router.post("/{number}/start")
@@ -145,7 +146,7 @@ def _request(live: Live, number: int, command: Command) -> EntryView:
 
 def _changed(live: Live, entry: queue.Entry) -> EntryView:
     """The entry as it is shown; all listeners are told that it has changed."""
-    live.events.publish("queue", {"entry": entry.id})
+    live.events.publish("queue", EntryChanged(entry=entry.id))
     return _view(live, entry)
 
 

@@ -17,7 +17,7 @@ import pytest
 
 import api.client
 from api import calls
-from api.bodies.jobs import ExportAsked, HowAsked, ImportAsked
+from api.bodies.jobs import ExportAsked, HowAsked, ImportAsked, JobView
 from api.call import Call
 from api.client import AsyncClient, Client, Event, JobFailed, Refused, TimedOut, Unreachable
 from api.errors import Conflict, Unauthorised
@@ -157,7 +157,8 @@ def test_both_clients_give_the_same_answers_and_hear_of_jobs(bench: tuple[Served
             return await client(calls.colour_map(1)), rows, result, heard
 
     found, rows, result, heard = asyncio.run(ask())
-    assert heard.data["kind"] == "export"
+    assert isinstance(heard.data, JobView)
+    assert heard.data.kind == "export"
     assert result["format"] == "json"
     with Client(service.url, token) as client:
         assert found == client(calls.colour_map(1))

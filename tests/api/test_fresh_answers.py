@@ -156,7 +156,7 @@ def test_a_crowd_of_listeners_is_told_the_same_in_the_same_order(live: Live) -> 
         listening = [asyncio.create_task(one()) for _ in range(20)]
         await asyncio.sleep(0)
         for n in range(300):
-            live.events.publish("point", {"n": n})
+            live.events.publish("point", f'{{"n":{n}}}')
             if n % 30 == 0:
                 await asyncio.sleep(0.02)
         return list(await asyncio.wait_for(asyncio.gather(*listening), 30))

@@ -344,7 +344,7 @@ def test_who_is_kept_out_hears_no_more_of_what_happens(live: Live, monkeypatch: 
                 await asyncio.sleep(0.5)
                 if kind == "alarm":
                     revoke_token(live.store, made.id)
-                live.events.publish(kind, {})  # type: ignore[arg-type]
+                live.events.publish(kind, "{}")  # type: ignore[arg-type]
             return (await asyncio.wait_for(hearing, 30)).text
 
     heard = asyncio.run(listen())

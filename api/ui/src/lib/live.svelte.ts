@@ -5,6 +5,7 @@ import type { Schemas } from './types';
 
 export type Bench = Schemas['BenchState'];
 export type Entry = Schemas['EntryView'];
+type EventData = Schemas['EventData'];
 
 export interface Page<T> {
   items: T[];
@@ -82,16 +83,16 @@ export function follow(): void {
     // a refusal ends the stream for good; a break does not
     if (stream?.readyState === EventSource.CLOSED) setTimeout(follow, 2000);
   };
-  const on = (kind: string, act: (data: unknown) => void): void => {
+  const on = <K extends keyof EventData>(kind: K, act: (data: EventData[K]) => void): void => {
     stream?.addEventListener(kind, (event) => act(JSON.parse((event as MessageEvent<string>).data)));
   };
-  on('state', (data) => (live.bench = data as Bench));
+  on('state', (data) => (live.bench = data));
   on('spectrum', () => (live.spectra += 1));
   on('point', () => {
     live.points += 1;
     queueChanged();
   });
-  for (const kind of ['progress', 'queue', 'mount']) on(kind, queueChanged);
+  for (const kind of ['progress', 'queue', 'mount'] as const) on(kind, queueChanged);
   on('job', () => (live.jobs += 1));
   on('alarm', () => void readBench());
   on('reset', everything);
