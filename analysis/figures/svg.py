@@ -194,13 +194,18 @@ def _place(axes: "Axes", cell: Cell, height: float, wider: float, inset: float =
 
 
 def _unique_ids(text: str, name: str) -> str:
-    """Keep only ids that something refers to, and prefix them with `name`."""
-    used = set(re.findall(r'(?:url\(|href=")#([^)"]+)', text))
+    """Keep only ids that something refers to, numbered as they come and prefixed with `name`.
+
+    matplotlib makes ids of what is drawn, to the last bit: the same figure would differ from process to process.
+    """
+    referring = r'(url\(#|href="#)([^)"]+)'
+    used = dict.fromkeys(each for _, each in re.findall(referring, text))
+    numbers = {each: f"{name}-{i}" for i, each in enumerate(used)}
 
     def renamed(found: re.Match[str]) -> str:
         if found[1] == _CELLS:
             return found[0]
-        return f' id="{name}-{found[1]}"' if found[1] in used else ""
+        return f' id="{numbers[found[1]]}"' if found[1] in numbers else ""
 
     text = re.sub(r' id="([^"]+)"', renamed, text)
-    return re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", text)
+    return re.sub(referring, lambda found: found[1] + numbers[found[2]], text)

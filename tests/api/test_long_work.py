@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import re
 import signal
 import time
 from collections.abc import Iterator
@@ -82,19 +81,8 @@ def test_the_report_is_the_one_that_python_writes(service: Service, tmp_path: Pa
     other = Store.open(tmp_path / "other.db")
     other.add_dataset(None, live.store.dataset(1))
     written = report_dataset(other, 1, tmp_path / found["file"])
-    words, numbers = _apart(page)
-    words_here, numbers_here = _apart(written.path.read_text(encoding="utf-8"))
-    assert words == words_here
-    assert len(numbers) > 1000
-    # a fit in another process may add up in another order: the last digit that is shown
-    assert numbers == pytest.approx(numbers_here, rel=1e-3, abs=1e-3)
+    assert page == written.path.read_text(encoding="utf-8")
     other.close()
-
-
-def _apart(page: str) -> tuple[list[str], list[float]]:
-    """The words of a page between its numbers, and its numbers."""
-    parts = re.split(r"(\d+(?:\.\d+)?(?:e[-+]?\d+)?)", page)
-    return parts[::2], [float(each) for each in parts[1::2]]
 
 
 def test_the_model_that_a_scene_needs_is_the_one_that_python_finds(service: Service, tmp_path: Path) -> None:
