@@ -113,7 +113,7 @@ class Bench(Generic[S]):
             return url
         return f"{self._family.terminal}{self.simulator.start_pty()}"
 
-    def driver(self, *, timeout: float = 0.1, **options: Any) -> S:
+    def driver(self, *, timeout: float = 0.5, **options: Any) -> S:
         """Another driver for the same device."""
         return self._family.drive(NAME, self.url, self.clock, timeout=timeout, **options)
 
