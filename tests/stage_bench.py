@@ -97,7 +97,9 @@ class Bench(Generic[S]):
         acceleration: float = 40.0,
         limits: tuple[float, float] = (-20.0, 100.0),
         socket: bool = False,
+        timeout: float = 0.1,
     ) -> None:
+        self._timeout = timeout
         self.clock = HeldClock()
         self.axis = Axis(self.clock, start=start, velocity=velocity, acceleration=acceleration, limits=limits)
         self.simulator = family.simulate(self.axis, self.clock)
@@ -113,9 +115,9 @@ class Bench(Generic[S]):
             return url
         return f"{self._family.terminal}{self.simulator.start_pty()}"
 
-    def driver(self, *, timeout: float = 0.5, **options: Any) -> S:
+    def driver(self, *, timeout: float | None = None, **options: Any) -> S:
         """Another driver for the same device."""
-        return self._family.drive(NAME, self.url, self.clock, timeout=timeout, **options)
+        return self._family.drive(NAME, self.url, self.clock, timeout=timeout or self._timeout, **options)
 
     def befall(self, script: str, seed: int = 0) -> None:
         """Let faults befall the requests from now on."""
