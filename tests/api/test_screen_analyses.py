@@ -185,6 +185,7 @@ def test_a_choice_shows_its_ladder_and_the_pair_of_pictures(service: Served, loo
     page.goto(f"{service.url}/analysis/{number}")
     expect(page.get_by_role("row", name=re.compile("^fails Lambert Far too matt"))).to_be_visible()
     expect(page.get_by_role("row", name=re.compile("^meets the tolerance Cook-Torrance")).first).to_be_visible()
+    page.wait_for_function("[...document.images].every(each => each.complete)")
     seen = page.locator("img").evaluate_all("all => all.map(each => each.naturalWidth)")
     assert seen == [8, 8, 8, 8, 8], "both, one over the other, each alone, and the difference"
     looking.look("choice")
