@@ -39,6 +39,9 @@ _REFUSALS: tuple[tuple[str, type[StoreError], str], ...] = (
 )
 """What SQLite says, which error that is, and what is told of it."""
 
+BUSY = 10
+"""Seconds that is waited for another process that writes an SQLite file."""
+
 CONNECTIONS = 40
 """To a file, that are kept open once they were needed."""
 
@@ -332,9 +335,18 @@ def _configure_sqlite(connection: Any, _: object) -> None:
     """Keep what is committed through a power cut, let others read meanwhile, and check references."""
     cursor = connection.cursor()
     # the first matters before there is any table: the room that an archive leaves can be given back to the disk
-    settings = ("auto_vacuum=INCREMENTAL", "busy_timeout=10000", "journal_mode=WAL", "synchronous=FULL")
+    settings = ("auto_vacuum=INCREMENTAL", f"busy_timeout={1000 * BUSY}", "journal_mode=WAL", "synchronous=FULL")
+    end = time.monotonic() + BUSY
     for pragma in (*settings, "foreign_keys=ON"):
-        cursor.execute(f"PRAGMA {pragma}")
+        while True:
+            try:
+                cursor.execute(f"PRAGMA {pragma}")
+                break
+            except sqlite3.OperationalError as error:
+                # of several that open a new file at once, SQLite lets none wait for who changes its journal
+                if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end:
+                    raise
+                time.sleep(0.01)
     cursor.close()
 
 
