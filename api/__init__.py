@@ -11,7 +11,7 @@ who may use it          access
 scripts that use it     client, calls, call
 what is said to it      bodies
 what datasets become    results, exports, simulated, written
-where work is done      executor, cluster
+where work is done      executor, cluster, prepared
 bluesky                 bluesky_devices
 what can go wrong       errors, named_errors
 """

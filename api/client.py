@@ -12,9 +12,10 @@ ServiceError
 """
 
 import asyncio
+import re
 import ssl
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Self, TypeVar, cast, get_args
 
@@ -30,6 +31,7 @@ from api.bodies.service import PROBLEM, Problem
 from api.call import Call
 from api.errors import ServiceError
 from api.named_errors import error_named
+from goniometer.errors import InputError
 
 T = TypeVar("T")
 
@@ -94,9 +96,10 @@ class Client:
     def __init__(self, url: str, token: str, *, verify: ssl.SSLContext | bool = True) -> None:
         """`url` is e.g. http://127.0.0.1:8000, `token` one of `goniometer token create`.
 
-        `verify` is how the certificate of an https address is checked, as httpx takes it.
+        `verify` is how the certificate of an https address is checked, as httpx takes it. Raises `InputError` for what
+        can be no address or no token.
         """
-        self._http = httpx.Client(base_url=url, headers=_headers(token), timeout=_TIMEOUT, verify=verify)
+        self._http = httpx.Client(base_url=_address(url), headers=_headers(token), timeout=_TIMEOUT, verify=verify)
 
     def __enter__(self) -> Self:
         """Begin to use it."""
@@ -136,8 +139,8 @@ class Client:
         watch(job)
         return self(_result(job))
 
-    def events(self, after: str | None = None) -> Iterator[Event]:
-        """What happens from now on, or after the event of that name; for ever, through breaks of the network.
+    def events(self, after: str | None = None) -> Generator[Event, None, None]:
+        """What happens from now on, or after the event of that name; through breaks of the network, until it is closed.
 
         Raises `Unreachable` where the service does not come back for half a minute, and what it refuses.
         """
@@ -163,7 +166,7 @@ class AsyncClient:
 
     def __init__(self, url: str, token: str, *, verify: ssl.SSLContext | bool = True) -> None:
         """As of `Client`."""
-        self._http = httpx.AsyncClient(base_url=url, headers=_headers(token), timeout=_TIMEOUT, verify=verify)
+        self._http = httpx.AsyncClient(base_url=_address(url), headers=_headers(token), timeout=_TIMEOUT, verify=verify)
 
     async def __aenter__(self) -> Self:
         """Begin to use it."""
@@ -200,7 +203,7 @@ class AsyncClient:
         watch(job)
         return await self(_result(job))
 
-    async def events(self, after: str | None = None) -> AsyncIterator[Event]:
+    async def events(self, after: str | None = None) -> AsyncGenerator[Event, None]:
         """What happens, as `Client.events` tells it."""
         tries = 0
         while True:
@@ -221,7 +224,18 @@ class AsyncClient:
             await asyncio.sleep(_AGAIN)
 
 
+def _address(url: str) -> str:
+    if not re.fullmatch(r"https?://[^\s/]\S*", url or ""):
+        raise InputError(f'"{url}" is not the address of a service; give e.g. http://127.0.0.1:8000')
+    return url
+
+
 def _headers(token: str) -> dict[str, str]:
+    if not re.fullmatch("[!-~]+", token or ""):  # whatever it is, it is not told: it is a secret
+        raise InputError(
+            "The token is empty, or has characters that none has, as a line break; "
+            "give it as goniometer token create prints it"
+        )
     return {"Authorization": f"Bearer {token}"}
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from goniometer.certificates.certificate import Override
 from goniometer.certificates.certificate_file import parse_certificate
 from goniometer.datasets.dataset import Dataset, Kind, kind_of
-from goniometer.errors import InputError, NotInStore
+from goniometer.errors import InputError, NotInStore, OptionError
 from goniometer.radiometry.calibration import calibrate_scan
 from goniometer.radiometry.response import STANDARD, Settings
 from goniometer.scans.exposure import below_wanted
@@ -73,7 +73,7 @@ def make_dataset(
 
     `made_from` is the dataset of the same raw data that is made anew. `certificate` is the text of a certificate, None
     for that of this dataset, or else of the campaign. Raises `CertificateError` where the certificate cannot be
-    used, and `CalibrationError`.
+    used, `OptionError` for an `override` of one that was valid, and `CalibrationError`.
     """
     where = "the given certificate" if certificate is not None else f"certificate of dataset {made_from}"
     text = certificate
@@ -82,6 +82,13 @@ def make_dataset(
     panel = None if text is None else parse_certificate(text, where)
     dataset = calibrate_scan(store, scan_id, settings, panel, override)
     lineage = dict(dataset.lineage)
+    if override is not None and lineage["certificate_override"] is None:
+        raise OptionError(
+            f"{{override_name}} and {{override_reason}} have no use for scan {scan_id}: the certificate "
+            f"{lineage['certificate']} was valid on the day of its reference scan; leave them out.",
+            "override_name",
+            "override_reason",
+        )
     used = store.certificate(store.scan(scan_id).campaign_id) if text is None else text
     if used is not None:
         lineage["certificate_sha256"] = hashlib.sha256(used.encode()).hexdigest()

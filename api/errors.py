@@ -3,6 +3,7 @@
 GoniometerError
 └── ServiceError
     ├── Conflict        what is asked for is not possible now; the message says why and what is possible
+    │   └── BenchEnded  the process that drives the bench has ended, so that nobody does what was asked
     ├── Unauthorised    nobody knows who asks
     ├── NotAllowed      who asks may not do this
     ├── Outdated        it was changed since it was read
@@ -24,6 +25,10 @@ class ServiceError(GoniometerError):
 
 class Conflict(ServiceError):
     """Not possible in the state in which the bench, the queue or a job is now."""
+
+
+class BenchEnded(Conflict):
+    """The process that drives the bench has ended, so that nobody does what was asked; it is started anew."""
 
 
 class Unauthorised(ServiceError):

@@ -4,6 +4,8 @@ Name and message are all that is told. What is made of more, as `RawDamaged` of 
 the nearest of its bases that is made of its message alone, here `StoreError`.
 """
 
+import re
+
 import analysis.errors
 import api.errors
 import drivers.errors
@@ -21,6 +23,15 @@ def error_named(name: str, message: str) -> Exception | None:
     """
     kind = _KNOWN.get(name.replace("-", "").lower())
     return None if kind is None else kind(message)
+
+
+def name_of(kind: type[Exception]) -> str:
+    """What a problem or a job calls a kind of error for programs.
+
+    >>> name_of(goniometer.errors.NotInStore)
+    'not-in-store'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", kind.__name__).lower()
 
 
 def _told_as(known: type[Exception]) -> type[Exception]:

@@ -1,5 +1,6 @@
 """Whether a campaign can be measured, found out before a device is opened."""
 
+import os
 from collections.abc import Callable
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -7,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from api.settings import InstrumentSettings
-from api.written import slug
+from api.written import make_folder, slug
 from goniometer.bench.safety import Forbidden, grown, raised
 from goniometer.campaigns.campaign import Campaign, Sample
 from goniometer.campaigns.material_file import Content, material_file
 from goniometer.certificates.certificate import NOMINAL_SRS99, Override
 from goniometer.certificates.certificate_file import certificate_csv, parse_certificate, read_certificate
-from goniometer.errors import CampaignError, GoniometerError
+from goniometer.errors import CampaignError, GoniometerError, StoreFull
 from goniometer.geometry import LARGEST_ANGLE
 from goniometer.plans.plan_spec import plan_spec, reference_points
 from goniometer.plans.reach import check_plan
@@ -45,15 +46,16 @@ def with_materials(campaign: Campaign) -> Campaign:
     return campaign.model_copy(update={"samples": tuple(map(known, campaign.samples))})
 
 
-def preflight(store: Store, campaign: Campaign, settings: InstrumentSettings | None) -> list[str]:
-    """Why `run` would refuse `campaign` before a device is opened, as sentences; none where it would not."""
+def preflight(store: Store | None, campaign: Campaign, settings: InstrumentSettings | None) -> list[str]:
+    """Why `run` would refuse `campaign` before a device is opened, as sentences; none where it would not.
+
+    Without a `store`, what only a database can tell is left out.
+    """
     checks: list[Callable[[], object]] = [
         lambda: _check_certificate(store, campaign, panel_certificate(campaign, settings)),
         lambda: _check_folders(store, campaign),
         lambda: _check_reach(campaign, settings),
-        lambda: store.check_begun(
-            with_materials(campaign) if settings is None else campaign, panel_certificate(campaign, settings)
-        ),
+        lambda: _check_begun(store, campaign, settings),
     ]
     found: dict[str, None] = {}  # more than one reads the certificate
     for check in checks:
@@ -82,13 +84,29 @@ def panel_certificate(campaign: Campaign, settings: InstrumentSettings | None) -
     return certificate_csv(PANEL_CERTIFICATE) if settings is None else None
 
 
-def _check_certificate(store: Store, campaign: Campaign, text: str | None) -> None:
+def check_output(folder: Path) -> None:
+    """Make the folder of results; raises `StoreFull` where nothing could be written into it later."""
+    make_folder(folder)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise StoreFull(f"{folder} cannot be written to; make it writable or name another folder.")
+
+
+def _check_begun(store: Store | None, campaign: Campaign, settings: InstrumentSettings | None) -> None:
+    """Raise `InputError` for a wrong material, `CampaignError` where the campaign has begun with other content."""
+    if settings is None:
+        campaign = with_materials(campaign)
+    if store is not None:
+        store.check_begun(campaign, panel_certificate(campaign, settings))
+
+
+def _check_certificate(store: Store | None, campaign: Campaign, text: str | None) -> None:
     """Raise `CertificateError` where a certificate cannot calibrate what the campaign wants to measure."""
     where = campaign.reference.certificate or "the simulated panel"
     override = campaign.reference.override
-    begun = [
-        store.scans(campaign_id)[0].started for campaign_id, name in store.campaigns().items() if name == campaign.name
-    ]
+    begun: list[str | None] = []
+    if store is not None:
+        own = [campaign_id for campaign_id, name in store.campaigns().items() if name == campaign.name]
+        begun = [store.scans(campaign_id)[0].started for campaign_id in own]
     day = next((date.fromisoformat(started[:10]) for started in begun if started), datetime.now(UTC).date())
     check_certificate(text, where, None if override is None else Override(override.name, override.reason), day)
     panel = NOMINAL_SRS99 if text is None else parse_certificate(text, where)
@@ -108,7 +126,7 @@ def _check_reach(campaign: Campaign, settings: InstrumentSettings | None) -> Non
     check_plan(plan_spec(campaign), limits, forbidden)
 
 
-def _check_folders(store: Store, campaign: Campaign) -> None:
+def _check_folders(store: Store | None, campaign: Campaign) -> None:
     """Raise `CampaignError` where results of two scans, or of two campaigns, would go into one folder."""
     folders: dict[str, str] = {}
     for name in (name for name, sample in campaign.series if sample is not None):
@@ -119,7 +137,7 @@ def _check_folders(store: Store, campaign: Campaign) -> None:
                 f'The samples "{other}" and "{name}" would both be kept in the folder {slug(name)}; '
                 f"give one sample another name."
             )
-    for name in store.campaigns().values():
+    for name in () if store is None else store.campaigns().values():
         if name != campaign.name and slug(name) == slug(campaign.name):
             raise CampaignError(
                 f'The campaigns "{name}" and "{campaign.name}" would both be kept in the folder {slug(name)}; '

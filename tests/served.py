@@ -94,7 +94,7 @@ def served(folder: Path, database: Path | str | None = None, **options: Any) -> 
         try:
             with httpx.Client(base_url=url, headers=headers, timeout=PATIENCE, trust_env=False) as client:
                 service = Served(live, url, client)
-                wait_for(lambda: live.worker.lives)
+                wait_for(lambda: server.started and live.worker.lives)
                 yield service
         finally:
             live.events.close()

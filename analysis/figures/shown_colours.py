@@ -24,16 +24,20 @@ class Exposure:
     """Linear RGB is multiplied by it; (1, 1, 1) is then f cos(theta_in) = 1 / factor."""
     clipped: int
     """How many of the measured points are brighter than the display."""
+    coloured: int
+    """How many of the measured points have a colour at all: one whose spectrum has a gap has none."""
 
 
 def exposure_of(dataset: Dataset) -> Exposure:
-    """Exposure that maps the 95th percentile of the brightest channel to white.
+    """Exposure that maps the 95th percentile of the brightest channel to white; 1 where that tells of no light.
 
     Raises `OutOfRange` as `brdf_to_rgb`.
     """
     brightest = brdf_to_rgb(dataset.brdf, dataset.theta_in, dataset.wavelengths).max(axis=-1)
-    factor = 1 / float(np.nanpercentile(brightest, 95))
-    return Exposure(factor, int(np.sum(brightest * factor > 1)))
+    brightest = brightest[np.isfinite(brightest)]
+    level = float(np.percentile(brightest, 95)) if brightest.size else 0.0
+    factor = 1 / level if level > 0 else 1.0
+    return Exposure(factor, int(np.sum(brightest * factor > 1)), brightest.size)
 
 
 def shown_colours(

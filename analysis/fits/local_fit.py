@@ -237,9 +237,9 @@ def _spectra(dataset: Dataset, conductor: Conductor | None, lambda_n: float) -> 
         log_fresnel = np.log(normalised_fresnel(angles, dataset.wavelengths, conductor, lambda_n))[of_point]
     u = dataset.u_counts
     weight = np.square(u)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         np.divide(1, weight, out=weight)
-    weighted = weight * dataset.brdf
+        weighted = weight * dataset.brdf
     # a NaN of either has become one here; a zero uncertainty is an infinite weight, an infinite one a weight of zero
     invalid = ~np.isfinite(weighted)
     weight[invalid], weighted[invalid] = 0.0, 0.0

@@ -27,6 +27,7 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
     filled = fill(dataset, *unmeasured(dataset, STEP)) if enough and not dataset.simulated else None
     noise = "single values" if dataset.simulated else "counts"
     clipped = f"; {exposure.clipped} cells are brighter than the display and clipped" if exposure.clipped else ""
+    colourless = "" if exposure.coloured else " No cell has a colour, for every spectrum has a gap."
     maps = [
         colour_map(
             dataset, dataset.brdf, exposure, "colours", f"As bright as {named.done}", measured=True, filled=filled
@@ -38,7 +39,7 @@ def measured_chapter(analysis: SampleAnalysis) -> str:
         + figure(
             maps,
             f"Each cell is one {named.done} spectrum, shown in its own colour under daylight (D65, BT.709; exposure "
-            f"× {exposure.factor:.2g}{clipped}). Dashed: mirror direction. Dotted: back into the "
+            f"× {exposure.factor:.2g}{clipped}).{colourless} Dashed: mirror direction. Dotted: back into the "
             f"lamp{_unseen(dataset)}. Empty places were not {named.done}; on the right, pale cells are too dark to "
             "have a hue. Point at a cell for its angles and its BRDF, with its combined standard uncertainty "
             "(coverage factor 1) in brackets. A dashed outline marks a flagged cell; pointing at it says for what.",

@@ -52,14 +52,15 @@ def models_chapter(analysis: SampleAnalysis) -> str:
         for name in analysis.differences
     }
     values = {name: getattr(analysis.differences[name], kind) for name, (kind, _) in shown.items()}
-    largest = max(1.0, *(float(np.nanpercentile(v, 99)) for v in values.values()))
+    known = [v[np.isfinite(v)] for v in values.values()]
+    largest = max([1.0, *(float(np.percentile(v, 99)) for v in known if v.size)])
     maps = [
         difference_map(
             dataset,
             values[name],
             largest,
             f"difference-{name}",
-            f"{title}: mean {analysis.differences[name].statistics(kind)['mean']:.2f}",
+            f"{title}: mean {_difference(analysis.differences[name].statistics(kind)['mean'])}",
         )
         for name, (kind, title) in shown.items()
     ]
@@ -87,6 +88,11 @@ def models_chapter(analysis: SampleAnalysis) -> str:
     )
 
 
+def _difference(value: float) -> str:
+    """A colour difference, of which there is none where every spectrum has a gap."""
+    return f"{value:.2f}" if np.isfinite(value) else "not known"
+
+
 def _lobe(fit: ModelFit) -> str:
     """How wide the lobe is, unless the data do not tell."""
     if "alpha" in fit.verdict.undetermined or fit.distribution is None:
@@ -104,10 +110,10 @@ def _difference_table(analysis: SampleAnalysis) -> str:
         statistics = analysis.differences[name].statistics("absolute")
         cells = [*means[name], statistics["median"], statistics["p95"], statistics["max"]]
         # the local fit and the global model take their brightness from the measurement
-        best = name == min(of_brightness, key=lambda n: means[n][0])
+        best = np.isfinite(means[name][0]) and name == min(of_brightness, key=lambda n: means[n][0])
         rows.append(
             f"<tr{' class=best' if best else ''}><td>{MODEL_NAMES[name]}</td>"
-            + "".join(f'<td class="number">{value:.2f}</td>' for value in cells)
+            + "".join(f'<td class="number">{_difference(value)}</td>' for value in cells)
             + "</tr>"
         )
     counts = [analysis.differences["cook-torrance"].statistics(kind)["count"] for kind in ("absolute", "chromatic")]
@@ -160,7 +166,7 @@ def _verdict_table(analysis: SampleAnalysis) -> str:
         gains = ["–", "–", "–"]
         if fit.comparison is not None:
             gained = fit.comparison
-            gains = [MODEL_NAMES[gained.simpler], f"{gained.bic:.0f}", f"{gained.dE00:.2f}"]
+            gains = [MODEL_NAMES[gained.simpler], f"{gained.bic:.0f}", _difference(gained.dE00)]
         cells = [f"{fit.r2:.4f}", *(gain.replace("-", "−") for gain in gains[1:])]
         how = fit.cost if fit.distribution is None else f"{fit.cost}; {fit.distribution}"
         rows.append(

@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import logging
-import multiprocessing
 import threading
 import time
 from collections import deque
@@ -20,11 +19,12 @@ from api.bench.messages import Call, Doing, Done, Message, Refusal, Snapshot, To
 from api.bench.operated import set_point
 from api.bench.runner import Task
 from api.bench.worker import main
-from api.bodies.bench import BenchState
+from api.bodies.bench import Alarm, BenchState
 from api.bodies.events import Notice, SpectrumRead
-from api.errors import Conflict
+from api.errors import BenchEnded, Conflict
 from api.events import Events
 from api.named_errors import error_named
+from api.prepared import PREPARED, prepare
 from goniometer.errors import GoniometerError
 from goniometer.storage.database import Database
 from goniometer.storage.records import now
@@ -37,6 +37,8 @@ PATIENCE = 30.0
 """Seconds in which the process must have parked the bench when the service ends."""
 RESTART = 2.0
 """Seconds after which a process that ended by itself is started anew."""
+
+_ENDED = "The process that drives the bench has ended; try again in a moment"
 
 log = logging.getLogger(__name__)
 
@@ -68,10 +70,11 @@ class Link:
         self._thread: threading.Thread | None = None
         self._past: deque[Past] = deque(maxlen=HISTORY)
         self._past_told = -HISTORY_EVERY
-        self._unknown = _unknown(task)
-        self._state = self._unknown
-        self.shown = self._unknown.model_dump_json()
+        self._state = _unknown(task)
+        self.shown = self._state.model_dump_json()
         """`state` as JSON, made once for all who ask."""
+        self.lives = False
+        """Whether the process has told of the bench, and has not ended since."""
         self.snapshot: Snapshot | None = None
         """The last spectrum; None where there is none yet."""
 
@@ -81,17 +84,13 @@ class Link:
         return self._state
 
     @property
-    def lives(self) -> bool:
-        """Whether the process has told of the bench, and has not ended since."""
-        return self._state is not self._unknown
-
-    @property
     def past(self) -> list[Past]:
         """What was read of the bench in the last hour, oldest first."""
         return list(self._past)
 
     def start(self) -> None:
         """Start the process, and start it anew where it ends by itself."""
+        prepare()
         self._thread = threading.Thread(target=self._supervise, name="bench", daemon=True)
         self._thread.start()
 
@@ -120,7 +119,11 @@ class Link:
             if self._connection is None:
                 raise Conflict("The process that drives the bench is being started; try again in a moment")
             self._waiting[number] = answer, tell
-            self._connection.send(Call(number, name, arguments))
+            try:
+                self._connection.send(Call(number, name, arguments))
+            except OSError:  # it has ended, and nobody has noticed yet
+                del self._waiting[number]
+                raise BenchEnded(_ENDED) from None
         return answer
 
     async def stop(self) -> None:
@@ -132,24 +135,29 @@ class Link:
             await self.call("stop")
 
     def _supervise(self) -> None:
-        context = multiprocessing.get_context("spawn")
+        alarm: Alarm | None = None
         while not self._closing:
-            here, there = context.Pipe()
-            task = replace(self._task, since=now())
-            process = context.Process(target=main, args=(there, task), name="goniometer bench")
+            here, there = PREPARED.Pipe()
+            task = replace(self._task, since=now(), alarm=alarm)
+            process = PREPARED.Process(target=main, args=(there, task), name="goniometer bench")
             process.start()
             record_done(self._database, "bench", "start", {"process": process.pid})
             there.close()
             with self._lock:
                 self._connection = here
+                if self._closing:  # `end` came before there was anybody to be told
+                    with suppress(OSError):
+                        here.send(Call(0, "end", {}))
             self._listen(here)
             with self._lock:
                 self._connection = None
                 here.close()
                 forsaken, self._waiting = self._waiting, {}
-            self._tell(self._unknown)
+            self._tell(_unknown(self._task, self._state.alarms))
+            self.lives = False
             for answer, _ in forsaken.values():
-                answer.set_exception(Conflict("The process that drives the bench has ended; try again in a moment"))
+                if answer.set_running_or_notify_cancel():
+                    answer.set_exception(BenchEnded(_ENDED))
             process.join(PATIENCE)
             if process.exitcode is None:
                 log.error("The process that drives the bench does not end; it is killed")
@@ -157,9 +165,12 @@ class Link:
                 process.join()
             record_done(self._database, "bench", "end", {"process": process.pid, "code": process.exitcode})
             if not self._closing:
-                message = f"The process that drives the bench has ended (code {process.exitcode}) and is started anew"
+                code = process.exitcode
+                message = f"The process that drives the bench has ended (code {code}) and is started anew; see the log"
                 log.error(message)
-                self._events.publish("alarm", Notice(level="error", message=message, moment=now()))
+                alarm = Alarm(text=message, since=now())
+                self._tell(_unknown(self._task, (alarm,)))
+                self._events.publish("alarm", Notice(level="error", message=message, moment=alarm.since))
                 time.sleep(RESTART)
 
     def _listen(self, connection: Connection) -> None:
@@ -172,8 +183,8 @@ class Link:
         match message:
             case BenchState():
                 self._tell(message)
+                self.lives = True
                 self._remember(message)
-                self._events.publish("state", self.shown)
             case Snapshot():
                 self.snapshot = message
                 read = SpectrumRead(
@@ -201,10 +212,11 @@ class Link:
         """The future of a call that is over; None where nobody waits for it any more."""
         with self._lock:
             answer, _ = self._waiting.pop(number, (None, None))
-        return None if answer is None or answer.cancelled() else answer
+        return answer if answer is not None and answer.set_running_or_notify_cancel() else None
 
     def _tell(self, state: BenchState) -> None:
         self._state, self.shown = state, state.model_dump_json()
+        self._events.publish("state", self.shown)
 
     def _remember(self, state: BenchState) -> None:
         if time.monotonic() - self._past_told >= HISTORY_EVERY and state.stages:
@@ -212,7 +224,7 @@ class Link:
             self._past.append(Past(now(), state.detector_temperature, state.lamp_on_for))
 
 
-def _unknown(task: Task) -> BenchState:
+def _unknown(task: Task, alarms: tuple[Alarm, ...] = ()) -> BenchState:
     """The state of a bench of which nobody has told anything yet."""
     return BenchState(
         name=task.bench,
@@ -233,5 +245,5 @@ def _unknown(task: Task) -> BenchState:
         spectrum=None,
         running=None,
         prompt=None,
-        alarms=(),
+        alarms=alarms,
     )

@@ -71,12 +71,17 @@ def conflict(command: str, phase: BenchPhase, doing: str) -> Conflict:
 class OperatedBench:
     """The bench of one service; every method must be called in the event loop in which it was made."""
 
-    def __init__(self, settings: InstrumentSettings | None, changed: Callable[[], None]) -> None:
-        """`settings` of None are the simulated bench; `changed` is called when there is something new to tell."""
+    def __init__(
+        self, settings: InstrumentSettings | None, changed: Callable[[], None], alarm: Alarm | None = None
+    ) -> None:
+        """`settings` of None are the simulated bench; `changed` is called when there is something new to tell.
+
+        `alarm` is what went wrong before.
+        """
         self.settings = settings
         self.phase: BenchPhase = "disconnected"
         self.doing = "Nothing is connected."
-        self.alarm: Alarm | None = None
+        self.alarm = alarm
         """What went wrong with the bench last; None once something went right again."""
         self.stages: tuple[StageView, ...] = ()
         self.temperature: float | None = None

@@ -13,7 +13,7 @@ from analysis.errors import AnalysisError
 from api.bench import queue
 from api.bench.messages import Told
 from api.bench.operated import OperatedBench
-from api.bodies.bench import Prompt, Running, Span
+from api.bodies.bench import Alarm, Prompt, Running, Span
 from api.bodies.events import EntryChanged, Notice, PointDone, PromptGone, QueueChanged
 from api.errors import Conflict
 from api.mount_request import mount_request
@@ -57,6 +57,8 @@ class Task:
     """Address of the Dask scheduler that does heavy work; None for this machine."""
     since: str = ""
     """When the process was started, ISO 8601 in UTC: what was queued before waits for somebody to look."""
+    alarm: Alarm | None = None
+    """Why there was no process for a while; None where this is the first."""
 
 
 class Runner:
@@ -110,6 +112,7 @@ class Runner:
                 fits = await held.enter_async_context(fitting(self._store, folder, self._task.cluster))
                 work = measure(self._store, campaign, fits, self._bench.settings, bench, self._report)
                 await self._bench.run(f'Measuring the campaign "{campaign.name}".', work)
+                self._note_campaign(entry)  # where all was measured before, no scan has begun
                 self.fitting[entry.id] = asyncio.ensure_future(self._fit(entry, fits, held.pop_all()))
                 await asyncio.sleep(0)  # what is cancelled before it has begun would let go of nothing
         except (RunAborted, Conflict) as error:

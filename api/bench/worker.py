@@ -34,7 +34,7 @@ from api.bench.lease import (
 from api.bench.messages import Answer, Call, Doing, Done, Message, Refusal, Told
 from api.bench.operated import POSSIBLE, OperatedBench, set_point
 from api.bench.runner import PATIENCE_WITH_DISK, Runner, Task
-from api.bodies.bench import Alarm, BenchState, Driver
+from api.bodies.bench import BenchState, Driver
 from api.bodies.events import Notice, Reset
 from api.errors import Conflict
 from api.logs import log_to_stderr
@@ -72,7 +72,7 @@ class _Worker:
         self.connection = connection
         self.task = task
         self.store = Store.open(task.database, task.bench)
-        self.bench = OperatedBench(task.settings, self.tell_state)
+        self.bench = OperatedBench(task.settings, self.tell_state, task.alarm)
         self.lease: Lease | None = None
         self.driving: Lease | None = None
         """Whoever drives, as last read."""
@@ -146,7 +146,9 @@ class _Worker:
                     try:
                         held.enter_context(self.store.exclusive())
                     except StoreBusy:  # another process drives this bench, or runs a campaign from its command line
-                        self.busy_elsewhere = True
+                        if not self.busy_elsewhere:
+                            self.busy_elsewhere, self.driving = True, read_lease(self.store)
+                            log.warning("This service does not drive the bench: %s", self._elsewhere())
                     else:
                         self.busy_elsewhere = False
                         seen = read_lease(self.store)
@@ -384,11 +386,9 @@ class _Worker:
             spectrum=None if spectrum is None else spectrum.count,
             running=self.runner.running,
             prompt=self.runner.prompt,
-            alarms=self._alarms(),
+            # who drives in its stead tells its own
+            alarms=() if self.bench.alarm is None or (driver is not None and not here) else (self.bench.alarm,),
         )
-
-    def _alarms(self) -> tuple[Alarm, ...]:
-        return () if self.bench.alarm is None else (self.bench.alarm,)
 
 
 class _Telling(logging.Handler):

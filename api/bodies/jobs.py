@@ -25,6 +25,12 @@ class JobView(Body):
     share: float | None = Field(description="How much of it is done, 0 to 1; null where nobody can tell.")
     words: str = Field(description="What it does now.")
     reason: str = Field(description="Why it did not come to its end, as a sentence; empty else.")
+    fault: str | None = Field(
+        description="What a program calls that, as in the `type` of a problem, where it failed; null else, "
+        'and for what failed in older versions. "killed": its process was ended from outside. "conflict": the bench '
+        'was stopped. "bench-ended": its process has ended. "internal": a fault of the service, which its log tells.',
+        examples=["not-in-store"],
+    )
     arguments: dict[str, Any] = Field(description="What was asked for.")
     created: str = Field(description="ISO 8601, UTC, as all times here.")
     started: str | None

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from api.choices import FIRST_USER, Role
-from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit, existing
+from api.commands.arguments import DATABASE, AsJson, DatabaseFile, emit, existing, opened
 from api.commands.logged import Logged
 from api.terminal import stdout
 from goniometer.errors import InputError
@@ -36,9 +36,8 @@ def add(
 ) -> None:
     """Let somebody in; asks for a password, or reads it from a pipe."""
     from api.access.accounts import add_user
-    from goniometer.storage.store import Store
 
-    store = Store.open(database)
+    store = opened(database)
     password = None if no_password else _new_password(name)
     made = add_user(store, name, role, password)
     _tell(asdict(made), f"{name} may use the service as {role}.", as_json=as_json)
@@ -120,9 +119,8 @@ def create(
 ) -> None:
     """Make a token; it is shown only now."""
     from api.access.tokens import create_token, ensure_first_user
-    from goniometer.storage.store import Store
 
-    store = Store.open(database)
+    store = opened(database)
     ensure_first_user(store)
     expires = None if days is None else datetime.now(UTC) + timedelta(days=days)
     text, made = create_token(store, user, label, role, expires)

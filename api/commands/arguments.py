@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -49,7 +50,12 @@ def emit(content: dict[str, Any]) -> None:
     """Print one JSON object on stdout, strict as the files are."""
     from analysis.strict_json import strict_json
 
-    sys.stdout.write(strict_json(content))
+    text = strict_json(content)
+    try:
+        text.encode(sys.stdout.encoding)
+    except UnicodeEncodeError:
+        text = json.dumps(json.loads(text), indent=1) + "\n"  # in which what is no ASCII is escaped
+    sys.stdout.write(text)
 
 
 def write_page(path: Path, title: str, body: list[str]) -> Export:
@@ -68,10 +74,30 @@ def bench_of(named: str | None, settings: InstrumentSettings | None) -> str:
     return named or (BENCH if settings is None else settings.bench)
 
 
-def existing(database: str) -> Store:
-    """The database, which must be there: a command that only reads makes no empty one."""
+def existing(database: str, bench: str | None = None) -> Store:
+    """The database, which must be there: a command that only reads makes no empty one.
+
+    Where it matters which bench is to be run, that is `bench`.
+    """
+    from goniometer.storage.store import Store
+    from goniometer.storage.tables import BENCH
+
+    if _is_missing(database):
+        raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
+    return Store.open(database, bench or BENCH)
+
+
+def opened(database: str) -> Store:
+    """The database, which is made where it is not there; that is said on stderr, for its name may be misspelt."""
     from goniometer.storage.store import Store
 
-    if "://" not in database and not Path(database).exists():
-        raise InputError(f"There is no database {database}; name one with --database, or start with: goniometer run.")
-    return Store.open(database)
+    new = _is_missing(database)
+    store = Store.open(database)
+    if new:
+        stderr().print(f"{store.where} was not there and has been made.", markup=False, highlight=False, soft_wrap=True)
+    return store
+
+
+def _is_missing(database: str) -> bool:
+    """Whether it is a file, and not there."""
+    return "://" not in database and not Path(database).exists()

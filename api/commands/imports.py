@@ -107,12 +107,16 @@ def _summary(file: Path, made: int, dataset: Dataset) -> str:
     import numpy as np
 
     f = np.where(dataset.brdf == 0, np.nan, np.abs(dataset.brdf))
-    noise, total = (np.nanmedian(u / f) for u in (dataset.u_counts, dataset.u))
+    relative = "no value differs from zero, so that none has a relative uncertainty"
+    if np.isfinite(f).any():
+        noise, total = (np.nanmedian(u / f) for u in (dataset.u_counts, dataset.u))
+        relative = (
+            f"relative standard uncertainty (k = 1, median) {100 * total:.2g} %, of which {100 * noise:.2g} % is noise"
+        )
     return (
         f"Imported {file.name} as dataset {made}, {dataset.sample}: {dataset.theta_in.size} points "
         f"at {np.unique(dataset.theta_in).size} incident angles, {dataset.wavelengths.size} wavelengths from "
-        f"{dataset.wavelengths[0]:g} to {dataset.wavelengths[-1]:g} nm; relative standard uncertainty (k = 1, median) "
-        f"{100 * total:.2g} %, of which {100 * noise:.2g} % is noise."
+        f"{dataset.wavelengths[0]:g} to {dataset.wavelengths[-1]:g} nm; {relative}."
     )
 
 

@@ -5,12 +5,12 @@ Exit codes: 0 done, 1 the work failed, 2 bad input. Results go to stdout, progre
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
 from contextlib import nullcontext
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -48,7 +48,7 @@ from api.commands.tradeoff import register as add_tradeoff
 from api.display import duration, progress_display
 from api.terminal import Stopped, ask_to_mount, stderr, stdout, wait
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError
+from goniometer.errors import GoniometerError, InputError, OptionError
 
 if TYPE_CHECKING:
     from api.results.outcome import SampleOutcome
@@ -68,6 +68,8 @@ OUTPUT = Path("results")
 
 def _tell_version(asked: bool) -> None:
     if asked:
+        from importlib.metadata import version
+
         print(f"goniometer {version('goniometer')}")
         raise typer.Exit
 
@@ -206,11 +208,21 @@ def _show(samples: list[SampleOutcome]) -> None:
 @app.command()
 def plan(
     campaign: CampaignFile,
-    instrument: Annotated[Path | None, typer.Option(help="Instrument file (TOML), for how its stages move.")] = None,
+    instrument: Annotated[
+        Path | None, typer.Option(help="Instrument file (TOML), for how its stages move, and how far.")
+    ] = None,
     path: Annotated[Path | None, typer.Option("--output", "-o", help="Drawing to write, .svg.")] = None,
+    database: Annotated[
+        str | None,
+        typer.Option(
+            "--database", "-d", metavar="FILE|URL", help="Where it would be kept, for what was begun there already."
+        ),
+    ] = None,
+    bench: BenchName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Preview a campaign: points, blocked range, travel and time. Nothing moves."""
+    """Preview a campaign: points, blocked range, travel and time, and what would be refused. Nothing moves."""
+    from api.preflight import preflight
     from api.preview import drawing, preview
     from api.settings import load_instrument
     from api.written import write_text
@@ -218,19 +230,31 @@ def plan(
     from goniometer.plans.plan_spec import ORDINARY
     from goniometer.scans.duration import DEAD_TIME
 
+    if bench is not None and database is None:
+        raise OptionError(
+            "{bench} has no use without {database}; name the database or leave it out.", "bench", "database"
+        )
+    if path is not None and path.suffix != ".svg":
+        raise InputError(f'A plan cannot be drawn to "{path}"; end its name in .svg.')
     wanted = load_campaign(campaign)
     settings = None if instrument is None else load_instrument(instrument)
+    store = None if database is None else existing(database, bench_of(bench, settings))
+    findings = preflight(store, wanted, settings)
     motion = ORDINARY if settings is None else settings.motion
     found = preview(wanted, motion, DEAD_TIME if settings is None else settings.spectrometer.dead_time)
     written = None if path is None else write_text("svg", path, drawing(wanted, motion)).path
     if as_json:
-        emit(asdict(found) | {"path": None if written is None else str(written)})
-        return
-    out = stdout()
-    for line in found.lines():
-        out.print(line, markup=False, highlight=False)
-    if written is not None:
-        out.print(f"Wrote {written}", markup=False, highlight=False)
+        emit(asdict(found) | {"findings": findings, "path": None if written is None else str(written)})
+    else:
+        out = stdout()
+        for line in found.lines():
+            out.print(line, markup=False, highlight=False)
+        if written is not None:
+            out.print(f"Wrote {written}", markup=False, highlight=False)
+    for finding in findings:
+        _refuse(finding)
+    if findings:
+        raise typer.Exit(2)
 
 
 add_status(app)
@@ -321,6 +345,11 @@ def main() -> NoReturn:
     """Entry point of `goniometer`: runs a command and turns typed errors into one line and an exit code."""
     for floor in ("drivers", "goniometer"):
         logging.getLogger(floor).addHandler(_Warnings(logging.WARNING))
+    # Python gives None for what whoever started it has closed
+    sys.stdout, sys.stderr = (each or open(os.devnull, "w") for each in (sys.stdout, sys.stderr))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # not every terminal has a Greek letter
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="goniometer", standalone_mode=False)
         sys.stdout.flush()
@@ -340,6 +369,10 @@ def main() -> NoReturn:
     sys.exit(code or 0)
 
 
-def _fail(message: str, code: int) -> NoReturn:
+def _refuse(message: str) -> None:
     stderr().print(f"goniometer: {message}", style="bold red", markup=False, highlight=False, soft_wrap=True)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    _refuse(message)
     sys.exit(code)

@@ -75,6 +75,8 @@ def status(
         )
         return
     out = stdout()
+    if not scans and not alone:
+        out.print(f"Nothing has been measured in {store.where} yet.", markup=False, highlight=False)
     if left_out["campaigns"]:
         out.print(f"Older campaigns, shown with --last: {left_out['campaigns']}", highlight=False)
     for scan, entry in zip(scans, found, strict=True):

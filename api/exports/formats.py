@@ -10,7 +10,8 @@ from pathlib import Path
 from analysis.bsdf.search import Budget
 from api.exports.bluesky import bluesky_lines
 from api.exports.package import write_package
-from api.results.products import usual_path, write_fits, write_mitsuba
+from api.exports.texts import check_terms
+from api.results.products import check_place, usual_path, write_fits, write_mitsuba
 from api.results.render import write_plugin_scene
 from api.written import Export, write_bytes, write_text
 from goniometer.datasets.dataset import Dataset
@@ -88,12 +89,18 @@ def _write_bird(store: Store, dataset_id: int, path: Path, options: Options) -> 
 
 
 def _write_package(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
-    if options.license is None or not options.creators:
+    terms = package_terms(options.license, options.creators)
+    said = {} if options.about is None else read_about(options.about)
+    return write_package(store, dataset_id, path, terms, said, options.attached)
+
+
+def package_terms(license_: str | None, creators: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    """The terms of a package; raises `InputError` where one is missing or cannot be."""
+    if license_ is None or not creators:
         told = 'A package needs terms; state {license}, e.g. CC-BY-4.0, and {creators} "Family, Given" for everybody.'
         raise OptionError(told, "license", **_CALLED)
-    said = {} if options.about is None else read_about(options.about)
-    terms = options.license, options.creators
-    return write_package(store, dataset_id, path, terms, said, options.attached)
+    check_terms(license_, creators)
+    return license_, creators
 
 
 def _write_mitsuba(store: Store, dataset_id: int, path: Path, options: Options) -> Export:
@@ -139,7 +146,7 @@ def export_dataset(
 ) -> Export:
     """Write a dataset in the format `to` to `path` or the present folder, and note that in the database.
 
-    Raises `InputError` for an unknown format, and for options that it has no use for.
+    Raises `InputError` for an unknown format, for options that it has no use for, and rather than replace another file.
     """
     wanted = FORMATS.get(to)
     if wanted is None:
@@ -148,6 +155,8 @@ def export_dataset(
     if needless := [name for name in said if name not in wanted.uses]:
         names = ", ".join(f"{{{name}}}" for name in needless)
         raise OptionError(f"An export to {to} has no use for {names}; leave it out.", *needless, **_CALLED)
-    export = wanted.write(store, dataset_id, path or usual_path(store.dataset(dataset_id), wanted.ending), options)
+    path = path or usual_path(store.dataset(dataset_id), wanted.ending)
+    check_place(store, dataset_id, to, path)
+    export = wanted.write(store, dataset_id, path, options)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import yaml
 
 from goniometer.datasets.dataset import Dataset
-from goniometer.errors import InputError
+from goniometer.errors import InputError, OptionError
 from goniometer.files.dataset_document import MEANINGS, UNITS
 from goniometer.files.dataset_table import columns
 from goniometer.storage.derived import software_version
@@ -64,11 +64,16 @@ class Published:
     """When the dataset was made, ISO 8601 in UTC."""
 
     def __post_init__(self) -> None:
-        """Raise `InputError` for a licence that is not known and for creators that have no name."""
-        if self.license not in LICENSES:
-            raise InputError(f'"{self.license}" is no licence for data that is known here; use {", ".join(LICENSES)}.')
-        if not all(creator.strip(" ,") for creator in self.creators):
-            raise InputError('A creator has no name; write --creator "Family, Given", or the name of an organisation.')
+        check_terms(self.license, self.creators)
+
+
+def check_terms(license_: str, creators: tuple[str, ...]) -> None:
+    """Raise `InputError` for a licence that is not known and for creators that have no name."""
+    if license_ not in LICENSES:
+        raise InputError(f'"{license_}" is no licence for data that is known here; use {", ".join(LICENSES)}.')
+    if not all(creator.strip(" ,") for creator in creators):
+        told = 'A creator has no name; write {creators} "Family, Given", or the name of an organisation.'
+        raise OptionError(told, creators="--creator")
 
 
 def texts(dataset: Dataset, published: Published, parts: list[Part], notes: list[str]) -> list[Part]:

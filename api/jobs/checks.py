@@ -12,7 +12,7 @@ from api.bodies.jobs import (
     StabilityArguments,
     TradeoffArguments,
 )
-from api.exports.formats import FORMATS
+from api.exports.formats import FORMATS, package_terms
 from api.jobs.foreign_scene import check_foreign_scene
 from api.results.certificates import known_certificate
 from api.results.products import conductor_name
@@ -52,3 +52,5 @@ def _check_export(asked: ExportArguments) -> None:
     if unknown := sorted(asked.options.model_dump(exclude_defaults=True).keys() - set(known)):
         told = f"An export to {asked.format} has no option {unknown[0]}; it has {', '.join(known) or 'none'}."
         raise InputError(told)
+    if asked.format == "package":
+        package_terms(asked.options.license, tuple(asked.options.creators))

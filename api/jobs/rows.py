@@ -41,6 +41,8 @@ class Job:
     """What it does now."""
     reason: str
     """Why it did not come to its end, as a sentence; empty else."""
+    fault: str | None
+    """What a program calls that, as "not-in-store", where it failed; None else."""
     arguments: str
     """What was asked for, as JSON."""
     created: str
@@ -135,10 +137,11 @@ def finish(
     reason: str = "",
     result: str | None = None,
     page: str | None = None,
+    fault: str | None = None,
 ) -> bool:
     """Note how an open job ended; False where it has ended already."""
     share = {"share": 1.0} if state == "done" else {}
-    ended = {"finished": now(), "words": "", "reason": reason, "result": result, "page": page}
+    ended = {"finished": now(), "words": "", "reason": reason, "result": result, "page": page, "fault": fault}
     return _changed(database, job_id, OPEN, state=state, **ended, **share)
 
 

@@ -7,14 +7,13 @@ that the job has started, and nothing else.
 
 import json
 import logging
-import multiprocessing
 import os
 import signal
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing import forkserver
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -32,6 +31,8 @@ from api.jobs.retention import KEPT, Retention, prune
 from api.jobs.rows import BEAT, Job
 from api.jobs.view import job_view
 from api.jobs.worker import Ended, begin_worker, work
+from api.named_errors import name_of
+from api.prepared import PREPARED, prepare
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, StoreError
 from goniometer.storage.store import Store
@@ -40,10 +41,6 @@ log = logging.getLogger(__name__)
 
 LONG, SHORT = 1, max(1, (os.cpu_count() or 2) - 1)
 """Jobs of either sort that run at once, at a lower priority than the bench."""
-
-CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload([begin_worker.__module__])
-"""What a job needs takes seconds to load; a server has it loaded, and a job is a fork of that, which has no threads."""
 
 PRUNE_EVERY = 3600.0
 """Seconds between two looks for jobs that are to be deleted."""
@@ -86,9 +83,7 @@ class Jobs:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._long, self._short = ThreadPoolExecutor(LONG), ThreadPoolExecutor(SHORT)
-        # Threads that share a small task wait for each other at full speed, which the bench on the same cores pays for.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        forkserver.ensure_running()
+        prepare()
         self._look_after()
         self._beating = threading.Thread(target=self._beat, name="jobs", daemon=True)
         self._beating.start()
@@ -137,15 +132,15 @@ class Jobs:
         self._publish(job.id)
         slots = self._long if KINDS[kind].long else self._short
         run = self._run if KINDS[kind].run is not None else self._command
-        slots.submit(run, job.id, kind, arguments).add_done_callback(_log_fault)
+        slots.submit(run, job.id, kind, arguments).add_done_callback(partial(self._tell_fault, job.id))
         return job
 
     def _run(self, job_id: int, kind: str, arguments: str) -> None:
         """Do a job in this thread: start its process, follow it, and write down how it ended."""
         if self._closed.is_set():
             return
-        heard, told = CONTEXT.Pipe(duplex=False)
-        begun = ProcessPoolExecutor(1, mp_context=CONTEXT, initializer=begin_worker, initargs=(told,))
+        heard, told = PREPARED.Pipe(duplex=False)
+        begun = ProcessPoolExecutor(1, mp_context=PREPARED, initializer=begin_worker, initargs=(told,))
         with heard, begun as executor:
             with told, self._lock:
                 if not job_rows.begin(self._store, job_id):  # cancelled while it waited
@@ -181,12 +176,13 @@ class Jobs:
         try:
             found = self._bench.ask(kind, tell, **json.loads(arguments)).result()
         except (GoniometerError, DriverError) as error:
-            self._write_down(job_id, "failed", str(error))
+            self._write_down(job_id, "failed", str(error), fault=name_of(type(error)))
         else:
             self._write_down(job_id, "done", "", strict_json(found))
-        with self._lock:
-            self._at_bench.discard(job_id)
-            self._cancelled.discard(job_id)
+        finally:
+            with self._lock:
+                self._at_bench.discard(job_id)
+                self._cancelled.discard(job_id)
         self._publish(job_id)
 
     def _follow(self, job_id: int, future: "Future[Ended]", heard: Connection) -> None:
@@ -213,15 +209,25 @@ class Jobs:
         if fault is None:
             ended = future.result()
             state: State = "failed" if ended.fault else "done"
-            self._write_down(job_id, state, ended.fault, ended.result, ended.page)
+            self._write_down(job_id, state, ended.reason, ended.result, ended.page, ended.fault)
         elif isinstance(fault, BrokenProcessPool):
             if self._closed.is_set():
                 return  # `close` has ended it, and says so
             reason = "Its process was ended from outside, perhaps for want of memory; run it again."
-            self._write_down(job_id, "failed", reason)
+            self._write_down(job_id, "failed", reason, fault="killed")
         else:
-            log.error("Job %s failed", job_id, exc_info=fault)
-            self._write_down(job_id, "failed", "It met a fault of its own; the log says which.")
+            self._write_fault(job_id, fault)
+
+    def _tell_fault(self, job_id: int, followed: "Future[None]") -> None:
+        """Write down that a job could not be followed, where that is so."""
+        if not followed.cancelled() and (fault := followed.exception()) is not None:
+            self._write_fault(job_id, fault)
+            self._publish(job_id)
+
+    def _write_fault(self, job_id: int, fault: BaseException) -> None:
+        log.error("Job %s failed", job_id, exc_info=fault)
+        reason = "It met a fault of its own; the log says which."
+        self._write_down(job_id, "failed", reason, fault="internal")
 
     def _end(self, job_id: int) -> None:
         """Kill the group of a job, if its process has begun; else `_follow` does as soon as it has.
@@ -250,12 +256,18 @@ class Jobs:
                 log.warning("Jobs are not looked after: %s", error)
 
     def _write_down(
-        self, job_id: int, state: State, reason: str, result: str | None = None, page: str | None = None
+        self,
+        job_id: int,
+        state: State,
+        reason: str,
+        result: str | None = None,
+        page: str | None = None,
+        fault: str | None = None,
     ) -> None:
         """Put down how a job ended, as `job_rows.finish`, as soon as the database lets it."""
         while True:
             try:
-                job_rows.finish(self._store, job_id, state, reason, result, page)
+                job_rows.finish(self._store, job_id, state, reason, result, page, fault)
                 return
             except StoreError as error:
                 log.error("The end of job %s cannot be written: %s", job_id, error)
@@ -268,8 +280,3 @@ class Jobs:
 
     def _publish(self, job_id: int) -> None:
         self._events.publish("job", job_view(job_rows.job(self._store, job_id)))
-
-
-def _log_fault(ended: "Future[None]") -> None:
-    if not ended.cancelled() and (fault := ended.exception()) is not None:
-        log.error("A job could not be followed", exc_info=fault)

@@ -11,8 +11,9 @@ from api.executor import end_with_parent
 from api.jobs.kinds import KINDS, Work
 from api.jobs.retention import JOBS
 from api.jobs.uploads import called_as_sent
+from api.named_errors import name_of
 from drivers.errors import DriverError
-from goniometer.errors import GoniometerError, OptionError
+from goniometer.errors import GoniometerError, OptionError, StoreFull
 from goniometer.storage.store import Store
 
 _NICE = 10
@@ -30,8 +31,10 @@ class Ended:
     """JSON."""
     page: str | None = None
     """HTML."""
-    fault: str = ""
+    reason: str = ""
     """Why there is no result, as a sentence."""
+    fault: str | None = None
+    """What a program calls that; None where there is a result."""
 
 
 def begin_worker(told: Connection) -> None:
@@ -60,11 +63,12 @@ def work(database: str, output: str, cluster: str | None, job_id: int, kind: str
     try:
         made = wanted.run(here, wanted.arguments.model_validate_json(arguments))
     except OptionError as error:
-        return Ended(fault=called_as_sent(here.output, error.by_field))
+        return Ended(reason=called_as_sent(here.output, error.by_field), fault=name_of(type(error)))
     except (GoniometerError, AnalysisError, DriverError) as error:
-        return Ended(fault=called_as_sent(here.output, str(error)))
+        return Ended(reason=called_as_sent(here.output, str(error)), fault=name_of(type(error)))
     except OSError as error:
-        return Ended(fault=f"{error.filename or 'The output'}: {error.strerror or error}; make room, and run it again.")
+        told = f"{error.filename or 'The output'}: {error.strerror or error}; make room, and run it again."
+        return Ended(reason=told, fault=name_of(StoreFull))
     finally:
         store.close()
     return Ended(strict_json(made.result), made.page)

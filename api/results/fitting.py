@@ -33,8 +33,9 @@ class Fits:
         """Why samples that were measured have no fits, as sentences."""
         self.broken = False
         """Whether one of these is a fault that lies neither in the data nor in the disk."""
+        self.output = output
+        """Below which a scan has a folder of its own."""
         self._store = store
-        self._output = output
         self._executor = executor
         self._writer = writer
         self._calibrator = calibrator
@@ -57,7 +58,7 @@ class Fits:
     def catch_up(self, campaign_id: int) -> None:
         """Start the fits that scans of a campaign lack, whatever kept them from being made."""
         for scan in self._store.scans(campaign_id):
-            missing = _underived_dataset(self._store, scan, self._output)
+            missing = _underived_dataset(self._store, scan, self.output)
             if missing is not None and missing not in self._waiting:
                 self._start(missing, scan)
 
@@ -86,7 +87,7 @@ class Fits:
 
     def _start(self, dataset_id: int, scan: Scan) -> None:
         fitted = self._executor.submit(derive, self._store.dataset(dataset_id), run_facts(self._store, scan))
-        folder = (self._output / slug(scan.name)).resolve()
+        folder = (self.output / slug(scan.name)).resolve()
         self._waiting[dataset_id] = self._writer.submit(_written, fitted, folder)
 
     def _told(self, fault: BaseException, doing: str) -> str:

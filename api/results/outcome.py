@@ -200,11 +200,13 @@ def remarks(samples: list[SampleOutcome]) -> list[str]:
 
 
 def _folder(sample: SampleOutcome) -> str:
+    """The folder of the first file, and what is in it; what somebody exported elsewhere is not."""
     paths = [Path(path) for path in sample.files]
     folder = paths[0].parent
     here = Path.cwd()
     shown = folder.relative_to(here) if folder.is_relative_to(here) else folder
-    return f"{shown} ({', '.join(sorted(path.name for path in paths))})"
+    names = sorted(path.name for path in paths if path.parent == folder)
+    return f"{shown} ({', '.join(names)})"
 
 
 def _with_error(parameter: dict[str, Any]) -> str:

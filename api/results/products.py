@@ -1,5 +1,6 @@
 """What can be made of a dataset in the database at any time: fits, files for others, a report."""
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -16,7 +17,7 @@ from analysis.fits.fit_json import SCHEMA_VERSION, analysis_to_json, fit_to_json
 from analysis.fits.loew import weight_of
 from analysis.reflectance.fresnel import load_conductor
 from analysis.reports.report import NO_RUN
-from analysis.results import SampleAnalysis
+from analysis.results import SampleAnalysis, Verdict
 from api.results.derive import RENDERED_MODEL, write_analysis_report, write_bsdf
 from api.results.fitting import run_facts
 from api.results.outcome import STATED
@@ -173,9 +174,16 @@ def write_mitsuba(store: Store, dataset_id: int, path: Path, model: str | None, 
         raise InputError(f'"{model}" is no model that can be rendered; there are {", ".join(BRDF_MODELS)}.')
     fitted = [fit.kind for fit in store.fits(dataset_id) if fit.kind in BRDF_MODELS]
     wanted = model or (fitted or [RENDERED_MODEL])[-1]
-    _, exports = write_bsdf(path, _analysed(store, dataset_id, (wanted,)), wanted, budget)
-    written = exports[0]
-    return replace(written, notes=(f"model {wanted}", *written.notes), facts={"model": wanted} | written.facts)
+    analysis = _analysed(store, dataset_id, (wanted,))
+    _, exports = write_bsdf(path, analysis, wanted, budget)
+    written, verdict = exports[0], analysis.model(wanted).verdict
+    notes = (f"model {wanted}", *distrust(wanted, verdict), *written.notes)
+    return replace(written, notes=notes, facts={"model": wanted, "trusted": verdict.trusted} | written.facts)
+
+
+def distrust(model: str, verdict: Verdict) -> tuple[str, ...]:
+    """What a person is told who uses a fit that is not to be trusted; nothing of another one."""
+    return () if verdict.trusted else (f"The fit of {model} is not to be trusted: {' '.join(verdict.reasons)}",)
 
 
 def _models_of(store: Store, dataset_id: int) -> tuple[str, ...]:
@@ -199,9 +207,28 @@ def usual_path(dataset: Dataset, ending: str) -> Path:
     return path
 
 
+def check_place(store: Store, dataset_id: int, file_format: str, path: Path) -> None:
+    """Raises `InputError` where `path` is a file that is not what was exported there before of the same dataset."""
+    path = path.resolve()
+    if not path.is_file():
+        return
+    with path.open("rb") as there:
+        content = hashlib.file_digest(there, "sha256").hexdigest()
+    if not store.has_export(dataset_id, path, file_format, content):
+        raise InputError(
+            f"{path} is there already, and is not the {file_format} that was written there of dataset {dataset_id}; "
+            f"name another file with --output, or move it away."
+        )
+
+
 def report_dataset(store: Store, dataset_id: int, path: Path | None) -> Export:
-    """Write the HTML report of a dataset to `path` or the present folder, and note that in the database."""
-    export = write_dataset_report(store, dataset_id, path or usual_path(store.dataset(dataset_id), "html"))
+    """Write the HTML report of a dataset to `path` or the present folder, and note that in the database.
+
+    Raises `InputError` rather than replace another file.
+    """
+    path = path or usual_path(store.dataset(dataset_id), "html")
+    check_place(store, dataset_id, "report", path)
+    export = write_dataset_report(store, dataset_id, path)
     store.add_export(dataset_id, export.path, export.file_format, export.sha256)
     return export
 

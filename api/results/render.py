@@ -20,7 +20,7 @@ from analysis.reports.render import difference_picture, shown
 from analysis.results import ModelFit
 from analysis.scenes.ladder import Microfacet
 from api.choices import Through
-from api.results.products import conductor_name, last_way
+from api.results.products import conductor_name, distrust, last_way
 from api.written import Export, make_folder, write_bytes, write_file
 from goniometer.datasets.dataset import Dataset
 from goniometer.errors import InputError
@@ -82,8 +82,7 @@ def render_dataset(
     pictures = render_scenes([scene for scene, _ in scenes], variant, samples)
     comparison = compare(pictures)
     for fit in fits:
-        if not fit.verdict.trusted:
-            notes.append(f"The fit of {fit.model} is not to be trusted: {' '.join(fit.verdict.reasons)}")
+        notes += distrust(fit.model, fit.verdict)
     trusted = all(fit.verdict.trusted for fit in fits)
     make_folder(folder)
     names = (fits[0].model, fits[1].model)
@@ -95,8 +94,8 @@ def render_dataset(
 def write_plugin_scene(store: Store, dataset_id: int, path: Path, model: str | None) -> Export:
     """Write a fitted model of a dataset as a scene for the plugin ggx_shift, with what it needs beside it.
 
-    Without `model` it is Cook-Torrance with shift. Raises `InputError` for a model of no brightness, and `ExportError`
-    for one that the plugin does not have.
+    Without `model` it is Cook-Torrance with shift. Raises `InputError` for a model of no brightness and rather than
+    replace another file of a name that is needed, and `ExportError` for a model that the plugin does not have.
     """
     wanted = model or METAL[1]
     if wanted not in BRDF_MODELS:
@@ -107,13 +106,20 @@ def write_plugin_scene(store: Store, dataset_id: int, path: Path, model: str | N
     if limited := limiting_words(reflectance):
         about += f"\n{limited}"
     scene = plugin_scene(reflectance, about)
-    for name, content in scene.files.items():
-        write_bytes("mitsuba-plugin", path.with_name(name), content)
+    beside = {path.with_name(name): content for name, content in scene.files.items()}
+    for place, content in beside.items():
+        if place.is_file() and place.read_bytes() != content:  # somebody's own, or that of other scenes
+            raise InputError(
+                f"{place} is there already, and is not what the scene needs there; name another folder, or move it away"
+            )
+    for place, content in beside.items():
+        write_bytes("mitsuba-plugin", place, content)
     export = write_file("mitsuba-plugin", path, lambda part: part.write_text(scene.xml, encoding="utf-8"))
-    notes = (f"model {wanted}", f"beside it: {', '.join(scene.files)}", *([limited] if limited else []))
-    return replace(
-        export, notes=notes, facts={"model": wanted, "beside": sorted(scene.files), "clamped": limited or None}
-    )
+    verdict = fits[-1].verdict
+    told = f"beside it: {', '.join(scene.files)}"
+    notes = (f"model {wanted}", *distrust(wanted, verdict), told, *([limited] if limited else []))
+    facts = {"model": wanted, "trusted": verdict.trusted, "beside": sorted(scene.files), "clamped": limited or None}
+    return replace(export, notes=notes, facts=facts)
 
 
 def _fitted(store: Store, dataset_id: int, models: tuple[str, ...]) -> tuple[Dataset, tuple[ModelFit, ...], Conductor]:

@@ -121,16 +121,19 @@ class Datasets:
         self._lock = threading.Lock()
         self._filling = threading.Lock()
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._fill_new, name="fill", daemon=True)
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """From now on, fill what comes into the database as soon as it is there, so that nobody waits for it."""
+        newest = self._store.newest_dataset()  # here, for the thread may begin later
+        self._thread = threading.Thread(target=self._fill_after, args=(newest,), name="fill", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Fill no more, and return when nothing is being filled."""
         self._closed.set()
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
 
     def warm_up(self) -> None:
         """Load what takes seconds the first time; call it in a thread of its own when the service starts."""
@@ -177,8 +180,7 @@ class Datasets:
             self._keep(file, content)
             return _unpack(content)
 
-    def _fill_new(self) -> None:
-        last = self._store.newest_dataset()
+    def _fill_after(self, last: int) -> None:
         while not self._closed.wait(_LOOK):
             try:
                 for dataset_id in self._store.datasets_after(last):

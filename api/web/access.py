@@ -4,9 +4,10 @@ import ipaddress
 import socket
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 from fastapi import Depends, Request
+from fastapi.exceptions import RequestValidationError
 
 from api.access.accounts import all_users, at_least
 from api.access.callers import Shown
@@ -15,8 +16,6 @@ from api.choices import Role
 from api.errors import NotAllowed, Unauthorised
 from goniometer.errors import ConfigurationError
 from goniometer.storage.database import Database
-
-__all__ = ["LOCAL", "Access", "Caller", "check_listen", "cookie_name", "is_loopback", "needs", "shown_by"]
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,11 @@ LOCAL = Access(loopback=True, secure=False)
 """On the loopback interface, by http."""
 
 
-def needs(role: Role) -> Any:
+def _needs(role: Role) -> Any:
     """The caller, who must have this role or a higher one; the parameter of an endpoint.
 
-    Raises `Unauthorised` where nobody knows who asks, and `NotAllowed` where they may not.
+    Raises `Unauthorised` where nobody knows who asks, `NotAllowed` where they may not, and `RequestValidationError` for
+    a parameter in the query that the endpoint does not have.
     """
 
     async def caller(request: Request) -> Caller:
@@ -55,9 +55,26 @@ def needs(role: Role) -> Any:
             raise Unauthorised("Nobody knows who asks; log in, or send a token as: Authorization: Bearer TOKEN")
         if not at_least(known.role, role):
             raise NotAllowed(f"This needs the role {role}, and {known.name} has the role {known.role} here")
+        _check_query(request)
         return known
 
     return Depends(caller)
+
+
+Viewer = Annotated[Caller, _needs("viewer")]
+"""The caller, as an endpoint takes it; who asks must have the role of that name, or a higher one."""
+Operator = Annotated[Caller, _needs("operator")]
+Metrologist = Annotated[Caller, _needs("metrologist")]
+Admin = Annotated[Caller, _needs("admin")]
+
+
+def _check_query(request: Request) -> None:
+    """Refuse a parameter that is misspelt, which must not count as one that is left out."""
+    known = sorted(each.alias for each in request.scope["route"].dependant.query_params)
+    if unknown := sorted(request.query_params.keys() - set(known)):
+        # of ten at most: a short request must not be answered at any length
+        told = [f"there is no such parameter; there is {', '.join(known) or 'none'}"] + 9 * ["nor is there this one"]
+        raise RequestValidationError([{"loc": ("query", n), "msg": m} for n, m in zip(unknown, told, strict=False)])
 
 
 def shown_by(request: Request, access: Access) -> Shown | None:

@@ -10,7 +10,7 @@ from api.bodies.analyses import ChoiceView, Ensemble, StabilityMap, Tradeoff
 from api.bodies.jobs import ChooseArguments, JobView, StabilityArguments, TradeoffArguments
 from api.jobs.rows import Job, job
 from api.views import analyses
-from api.web.access import Caller, needs
+from api.web.access import Operator, Viewer
 from api.web.context import Here, Number
 from api.web.jobs import result_text, submit
 from api.web.live import Live
@@ -18,8 +18,6 @@ from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api", tags=["analyses"])
 
-Viewer = Annotated[Caller, needs("viewer")]
-Operator = Annotated[Caller, needs("operator")]
 Name = Annotated[str, Query(max_length=100)]
 
 _PICTURE: dict[int | str, dict[str, Any]] = {

@@ -76,8 +76,8 @@ def make_app(live: Live, access: Access = LOCAL) -> FastAPI:
         live.worker.start()
         _step_back()
         threading.Thread(target=live.datasets.warm_up, name="warm-up", daemon=True).start()
-        live.datasets.start()
         try:
+            live.datasets.start()
             yield
         finally:
             await asyncio.to_thread(live.datasets.close)

@@ -20,7 +20,7 @@ from api.results.certificates import (
 )
 from api.views.calibration import reference_view
 from api.views.history import history
-from api.web.access import Caller, needs
+from api.web.access import Metrologist, Viewer
 from api.web.context import Here, Number
 from api.web.jobs import submit
 from api.web.live import Live
@@ -29,9 +29,6 @@ from goniometer.storage import look_up
 from goniometer.storage.records import Scan
 
 router = APIRouter(prefix="/api", tags=["calibration"])
-
-Viewer = Annotated[Caller, needs("viewer")]
-Metrologist = Annotated[Caller, needs("metrologist")]
 
 _LARGEST = 4_000_000
 _PAGE = 10

@@ -1,7 +1,7 @@
 """Campaigns: whether they can be measured, what they will do, and what has become of them."""
 
 import json
-from typing import Annotated, Any
+from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
@@ -11,7 +11,7 @@ from api.bodies.bench import Span
 from api.bodies.campaigns import BlockedRange, CampaignDetail, CampaignView, Direction, LegView, PreviewView, Verdict
 from api.preflight import preflight
 from api.preview import preview as preview_of
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.context import Here, Number
 from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
@@ -29,7 +29,6 @@ from goniometer.storage.records import Expected
 
 router = APIRouter(prefix="/api/campaigns", tags=["campaigns"])
 
-Viewer = Annotated[Caller, needs("viewer")]
 MOST_POINTS = 50_000
 """Of a scan; a bench needs days for them."""
 MOST_SCANS = 500

@@ -9,7 +9,7 @@ from api.bodies.datasets import Checks, DatasetDetail, DatasetRow, Lineage, Unce
 from api.bodies.fits import Ladder
 from api.bodies.plots import SHOWN_AT, Distributions, InPlaneMap, PointSpectrum, Slopes
 from api.views import curves, in_plane_map, ladder, lineage, listing, quality, slopes, spectra
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
@@ -20,7 +20,6 @@ from goniometer.storage.catalogue import Order, Wanted
 
 router = APIRouter(prefix="/api/datasets", tags=["datasets"])
 
-Viewer = Annotated[Caller, needs("viewer")]
 Time = Annotated[str | None, Query(pattern=r"^\d{4}-\d\d-\d\d([T ][\d:.+-]{1,24}Z?)?$", examples=["2026-01-31"])]
 Degrees = Annotated[float | None, Query(ge=-90, le=90, description="Degrees.")]
 Nanometres = Annotated[float | None, Query(gt=0, lt=1e5, description="nm")]

@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 from api.bodies.events import EventData, EventKind
 from api.errors import Unauthorised
 from api.events import Event, Events
-from api.web.access import Caller, needs, shown_by
+from api.web.access import Viewer, shown_by
 from api.web.context import Here
 from api.web.live import Live
 
@@ -45,7 +45,7 @@ _STREAM = {"schema": {"type": "string"}, "itemSchema": {"oneOf": [_line(kind) fo
 async def events(
     request: Request,
     live: Here,
-    caller: Annotated[Caller, needs("viewer")],
+    caller: Viewer,
     last_event_id: Annotated[str | None, Header(description="The last event that was seen, to go on after it.")] = None,
 ) -> StreamingResponse:
     """What happens, as it happens: state, progress, point, spectrum, queue, mount, job, alarm and log.

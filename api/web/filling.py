@@ -11,7 +11,7 @@ from pathlib import Path
 
 from api.errors import Conflict
 from api.executor import BEHIND, end_with_parent
-from api.jobs.running import CONTEXT
+from api.prepared import PREPARED
 from api.views.opened import filled_content
 from goniometer.storage.store import Store
 
@@ -27,8 +27,8 @@ def fill_apart(database: Path | str, dataset_id: int, stop: threading.Event) -> 
 
     Raises `Conflict` where the process has ended without an answer; it is killed as soon as `stop` is set.
     """
-    heard, told = CONTEXT.Pipe(duplex=False)
-    process = CONTEXT.Process(target=_work, args=(told, database, dataset_id), name=NAME, daemon=True)
+    heard, told = PREPARED.Pipe(duplex=False)
+    process = PREPARED.Process(target=_work, args=(told, database, dataset_id), name=NAME, daemon=True)
     with heard:
         with told:
             process.start()

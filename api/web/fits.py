@@ -2,7 +2,6 @@
 
 import hashlib
 from pathlib import Path
-from typing import Annotated
 
 from fastapi import APIRouter, Response
 from fastapi.responses import FileResponse
@@ -13,16 +12,13 @@ from api.choices import WRITTEN
 from api.errors import Conflict
 from api.exports.formats import FORMATS
 from api.views.ladder import fit_row
-from api.web.access import Caller, needs
+from api.web.access import Operator, Viewer
 from api.web.context import Here, Number
 from api.web.jobs import submit
 from goniometer.errors import NotInStore
 from goniometer.storage.derived import ExportRow
 
 router = APIRouter(prefix="/api", tags=["fits and exports"])
-
-Viewer = Annotated[Caller, needs("viewer")]
-Operator = Annotated[Caller, needs("operator")]
 
 
 @router.get("/datasets/{number}/fits")

@@ -9,14 +9,12 @@ from starlette.concurrency import run_in_threadpool
 from api.bodies.jobs import ImportAsked, JobView, Upload
 from api.errors import TooLarge
 from api.jobs.uploads import LARGEST, new_upload, uploaded
-from api.web.access import Caller, needs
+from api.web.access import Operator
 from api.web.context import Here
 from api.web.jobs import submit
 from goniometer.errors import InputError, StoreFull
 
 router = APIRouter(prefix="/api", tags=["imports"])
-
-Operator = Annotated[Caller, needs("operator")]
 
 
 @router.post(

@@ -10,7 +10,7 @@ from api.bench.operated import conflict
 from api.bodies.bench import BenchState, Expose, Jog, Moment, Spectrum
 from api.bodies.jobs import DoctorArguments, JobView
 from api.errors import Conflict
-from api.web.access import Caller, needs
+from api.web.access import Operator, Viewer
 from api.web.context import Here
 from api.web.jobs import submit
 from api.web.paging import etag, unchanged
@@ -18,8 +18,6 @@ from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/instrument", tags=["instrument"])
 
-Viewer = Annotated[Caller, needs("viewer")]
-Operator = Annotated[Caller, needs("operator")]
 BINARY = "application/octet-stream"
 
 

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import HTMLResponse
 
 from api.access.accounts import at_least
+from api.access.tokens import Caller
 from api.bodies.base import Asked, Page
 from api.bodies.jobs import JobView, State
 from api.errors import Conflict, NotAllowed
@@ -13,7 +14,7 @@ from api.jobs.checks import check
 from api.jobs.kinds import KINDS
 from api.jobs.rows import all_jobs, job, page_of, result_of
 from api.jobs.view import job_view
-from api.web.access import Caller, needs
+from api.web.access import Operator, Viewer
 from api.web.context import Here, Number
 from api.web.live import Live
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
@@ -21,8 +22,6 @@ from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/jobs", tags=["jobs"])
 
-Viewer = Annotated[Caller, needs("viewer")]
-Operator = Annotated[Caller, needs("operator")]
 
 _SEALED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; sandbox"
 """A page holds its own style and pictures, and no script has anything to do in it."""

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query
 
 from api.access import audit
 from api.bodies.access import Log, Row, Verified
-from api.web.access import Caller, needs
+from api.web.access import Operator
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 
@@ -17,7 +17,7 @@ router = APIRouter(prefix="/api/log", tags=["access"])
 @router.get("")
 def log(
     live: Here,
-    caller: Annotated[Caller, needs("operator")],
+    caller: Operator,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
     verify: Annotated[bool, Query(description="Compute all hashes anew: about 2 s for 100 000 rows.")] = False,

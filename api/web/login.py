@@ -21,7 +21,7 @@ from api.access.tokens import (
 )
 from api.bodies.access import Login, Me, NewPassword, SessionView
 from api.errors import NotAllowed, TooManyFailures, Unauthorised
-from api.web.access import Access, cookie_name, needs
+from api.web.access import Access, Viewer, cookie_name
 from api.web.context import Here
 from goniometer.storage.database import Database
 
@@ -49,7 +49,7 @@ async def login(request: Request, response: Response, live: Here, given: Login) 
 
 
 @router.post("/logout", status_code=204)
-def logout(request: Request, response: Response, live: Here, caller: Annotated[Caller, needs("viewer")]) -> None:
+def logout(request: Request, response: Response, live: Here, caller: Viewer) -> None:
     """End the session; a token stays what it is."""
     if caller.via == "session":
         end_session(live.store, request.cookies[cookie_name(request.app.state.access)])
@@ -57,7 +57,7 @@ def logout(request: Request, response: Response, live: Here, caller: Annotated[C
 
 
 @router.get("/me")
-def me(request: Request, response: Response, caller: Annotated[Caller, needs("viewer")]) -> Me:
+def me(request: Request, response: Response, caller: Viewer) -> Me:
     """Who asks, and what they may do."""
     response.headers["Cache-Control"] = "no-store"
     session = request.cookies.get(cookie_name(request.app.state.access)) if caller.via == "session" else None
@@ -66,9 +66,7 @@ def me(request: Request, response: Response, caller: Annotated[Caller, needs("vi
 
 
 @router.post("/me/password", status_code=204)
-async def change_password(
-    request: Request, live: Here, given: NewPassword, caller: Annotated[Caller, needs("viewer")]
-) -> None:
+async def change_password(request: Request, live: Here, given: NewPassword, caller: Viewer) -> None:
     """Take another password; all one's sessions end, this one too."""
     try:
         await _in_turn(request, live.store, Login(name=caller.name, password=given.current_password))
@@ -78,7 +76,7 @@ async def change_password(
 
 
 @router.get("/me/sessions")
-def my_sessions(request: Request, live: Here, caller: Annotated[Caller, needs("viewer")]) -> list[SessionView]:
+def my_sessions(request: Request, live: Here, caller: Viewer) -> list[SessionView]:
     """Where one is logged in, newest first."""
     secret = request.cookies.get(cookie_name(request.app.state.access)) if caller.via == "session" else None
     this = None if secret is None else session_of(secret)
@@ -89,9 +87,7 @@ def my_sessions(request: Request, live: Here, caller: Annotated[Caller, needs("v
 
 
 @router.delete("/me/sessions/{session}", status_code=204)
-def end_my_session(
-    session: Annotated[str, Path(pattern="^[0-9a-f]{16}$")], live: Here, caller: Annotated[Caller, needs("viewer")]
-) -> None:
+def end_my_session(session: Annotated[str, Path(pattern="^[0-9a-f]{16}$")], live: Here, caller: Viewer) -> None:
     """Log out there."""
     end_sessions(live.store, caller.name, session)
 

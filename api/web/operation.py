@@ -1,11 +1,9 @@
 """Whether the service lives, what it counts, and what it is."""
 
-from typing import Annotated
-
 from fastapi import APIRouter
 
 from api.bodies.service import About, Health
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.context import Here
 from goniometer.storage import look_up
 from goniometer.storage.derived import software_version
@@ -21,6 +19,6 @@ def health(live: Here) -> Health:
 
 
 @router.get("/api/about")
-def about(live: Here, caller: Annotated[Caller, needs("viewer")]) -> About:
+def about(live: Here, caller: Viewer) -> About:
     """What this service is, and which bench it drives."""
     return About(version=software_version(), simulated=live.settings is None)

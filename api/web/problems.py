@@ -2,7 +2,6 @@
 
 import logging
 import math
-import re
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
@@ -15,6 +14,7 @@ from starlette.exceptions import HTTPException
 from analysis.errors import AnalysisError, SceneError, UnknownConductor
 from api.bodies.service import PROBLEM, Fault, Problem
 from api.errors import Conflict, Misdirected, NotAllowed, Outdated, TooLarge, TooManyFailures, Unauthorised
+from api.named_errors import name_of
 from drivers.errors import DriverError
 from goniometer.errors import GoniometerError, InputError, NotInStore, OptionError, StoreBusy, StoreFull
 from goniometer.wording import and_more, key_path
@@ -103,10 +103,6 @@ def describe_problems(schema: dict[str, Any]) -> dict[str, Any]:
     return schema
 
 
-def _name(error: Exception) -> str:
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(error).__name__).lower()
-
-
 def told(error: Exception) -> JSONResponse:
     """The response that tells of an error of our floors."""
     status = status_of(error)
@@ -114,7 +110,7 @@ def told(error: Exception) -> JSONResponse:
     if isinstance(error, TooManyFailures):
         headers["Retry-After"] = str(math.ceil(error.seconds))
     detail = error.by_field if isinstance(error, OptionError) else str(error)
-    return problem(status, detail, _name(error), headers=headers)
+    return problem(status, detail, name_of(type(error)), headers=headers)
 
 
 async def _known(_: Request, error: Exception) -> JSONResponse:

@@ -9,7 +9,8 @@ from api.bodies.base import Page
 from api.bodies.campaigns import EntryView, Mounted, Order, Place
 from api.bodies.events import EntryChanged
 from api.errors import Conflict
-from api.web.access import Caller, needs
+from api.preflight import with_materials
+from api.web.access import Operator, Viewer
 from api.web.answers import Shared
 from api.web.campaigns import checked
 from api.web.context import Here, Number
@@ -20,9 +21,6 @@ from goniometer.errors import NotInStore
 from goniometer.states import ACTIVE_PHASES, Command
 
 router = APIRouter(prefix="/api/queue", tags=["queue"])
-
-Viewer = Annotated[Caller, needs("viewer")]
-Operator = Annotated[Caller, needs("operator")]
 
 
 @router.get("", response_model=Page[EntryView])
@@ -43,8 +41,13 @@ async def entries(
 
 @router.post("", status_code=201)
 def add(live: Here, caller: Operator, order: Order) -> EntryView:
-    """Append a campaign. It is measured once it is started, or after `start_after`."""
+    """Append a campaign. It is measured once it is started, or after `start_after`.
+
+    What else must be so before it can be measured, as a certificate, may still come; POST /api/campaigns/preview tells.
+    """
     campaign = checked(order.campaign, live)
+    if live.settings is None:
+        with_materials(campaign)
     return _changed(live, queue.add_entry(live.store, campaign, caller.name, order.start_after))
 
 

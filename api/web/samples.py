@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 from api.bodies.base import Page
 from api.bodies.datasets import NEWEST, SampleRow, SampleView
 from api.views.listing import row
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, Limit, page
 from goniometer.errors import NotInStore
@@ -21,7 +21,7 @@ router = APIRouter(prefix="/api/samples", tags=["datasets"])
 @router.get("")
 def samples(
     live: Here,
-    caller: Annotated[Caller, needs("viewer")],
+    caller: Viewer,
     limit: Limit = DEFAULT_LIMIT,
     after: Annotated[
         str | None, Query(max_length=4000, description="`next` of the page before; none: the first page.")
@@ -36,7 +36,7 @@ def samples(
 
 
 @router.get("/{name}")
-def sample(name: str, live: Here, caller: Annotated[Caller, needs("viewer")]) -> SampleView:
+def sample(name: str, live: Here, caller: Viewer) -> SampleView:
     """One sample."""
     known = next((each for each in live.store.samples() if each.lower() == name.lower()), None)
     if known is None:

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from api.bodies.base import Page
 from api.bodies.scans import ExposureView, NewestBrdf, PointDetail, PointView, ScanView
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.answers import Shared
 from api.web.context import Here, Number
 from api.web.instrument import BINARY
@@ -17,8 +17,6 @@ from goniometer.storage.look_up import NONE, Counts
 from goniometer.storage.records import Exposure, Point, Scan
 
 router = APIRouter(prefix="/api", tags=["scans"])
-
-Viewer = Annotated[Caller, needs("viewer")]
 
 
 @router.get("/scans", response_model=Page[ScanView])

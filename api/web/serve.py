@@ -4,6 +4,7 @@ import asyncio
 import logging
 import signal
 import socket
+import ssl
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -14,6 +15,7 @@ from api.access.audit import record, record_done
 from api.access.tokens import first_token
 from api.jobs.retention import KEPT, Retention
 from api.logs import log_to_stderr
+from api.preflight import check_output
 from api.settings import InstrumentSettings
 from api.web.access import check_listen
 from api.web.app import make_app
@@ -61,18 +63,21 @@ def serve(
 
     Heavy work goes to the Dask scheduler `cluster`, if any. Of jobs that are over, so many are `kept`.
 
-    Raises `StoreError` where the database cannot be opened, and `ConfigurationError` where nobody can, or may, listen
-    there.
+    Raises `StoreError` where the database cannot be opened, `ConfigurationError` where nobody can, or may, listen
+    there, and `StoreFull` where results cannot be written to `output`.
     """
     if (listen.tls_cert is None) != (listen.tls_key is None):
         raise ConfigurationError("--tls-cert and --tls-key belong together; give both, or none")
     tls = listen.tls_cert is not None
+    if listen.tls_cert is not None:
+        _check_certificate(listen.tls_cert, listen.tls_key)
     store = Store.open(database, bench)
     access = check_listen(listen.host, store, tls=tls, behind_proxy=listen.behind_proxy, hosts=listen.names)
     log_to_stderr()
     with _listening(listen.host, listen.port) as listener:
         host = f"[{listen.host}]" if ":" in listen.host else listen.host
         url = f"{'https' if tls else 'http'}://{host}:{listener.getsockname()[1]}"
+        check_output(output)  # before the token, which is shown once
         token = first_token(store) if access.loopback else None
         # to the terminal and not to the log, which is kept; "goniometer token create" makes another token
         print(f"Open {url}" if token is None else f"Open {url}/#token={token}", flush=True)
@@ -109,6 +114,17 @@ def serve(
                 record_done(live.store, "service", "end", {"url": url})
 
 
+def _check_certificate(certificate: Path, key: Path | None) -> None:
+    """Raises `ConfigurationError` for what uvicorn could not serve with, before anybody is given an address."""
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key)
+    except OSError as error:  # of which ssl.SSLError is one
+        told = error.strerror or error
+        raise ConfigurationError(
+            f"--tls-cert {certificate} --tls-key {key}: {told}; give a certificate and its key, both as PEM"
+        ) from None
+
+
 class _Server(uvicorn.Server):
     """Ends the streams of events, which would else keep it from ending, and has the bench parked at once."""
 
@@ -130,5 +146,7 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        told = error.strerror or error
-        raise ConfigurationError(f"--host {host} --port {port}: cannot listen there: {told}") from None
+        told = str(error.strerror or error).partition(" (while ")[0]  # Python repeats the address
+        raise ConfigurationError(
+            f"--host {host} --port {port}: cannot listen there: {told}; name another, or end what listens there"
+        ) from None

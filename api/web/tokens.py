@@ -10,19 +10,18 @@ from api.access.accounts import at_least
 from api.bodies.access import MadeToken, NewToken, Token
 from api.bodies.base import Page
 from api.errors import NotAllowed
-from api.web.access import Caller, needs
+from api.web.access import Viewer
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, After, Limit, after_number, page
 from goniometer.errors import NotInStore
 
 router = APIRouter(prefix="/api/tokens", tags=["access"])
-Anybody = Annotated[Caller, needs("viewer")]
 
 
 @router.get("")
 def list_tokens(
     live: Here,
-    caller: Anybody,
+    caller: Viewer,
     limit: Limit = DEFAULT_LIMIT,
     after: After = None,
     everybody: Annotated[bool, Query(description="Not only one's own; for admins.")] = False,
@@ -36,7 +35,7 @@ def list_tokens(
 
 
 @router.post("", status_code=201)
-def create_token(live: Here, caller: Anybody, new: NewToken, request: Request, response: Response) -> MadeToken:
+def create_token(live: Here, caller: Viewer, new: NewToken, request: Request, response: Response) -> MadeToken:
     """Make a token for oneself. One that is made with a token may do no more than that, for no longer."""
     role = new.role or caller.role
     if not at_least(caller.role, role):
@@ -54,7 +53,7 @@ def create_token(live: Here, caller: Anybody, new: NewToken, request: Request, r
 
 
 @router.delete("/{token_id}", status_code=204)
-def revoke_token(live: Here, caller: Anybody, token_id: Annotated[int, Path(ge=1, lt=2**63)]) -> None:
+def revoke_token(live: Here, caller: Viewer, token_id: Annotated[int, Path(ge=1, lt=2**63)]) -> None:
     """Make a token worthless, with the sessions that began with it; an admin may do so with everybody's."""
     found = tokens.token(live.store, token_id)
     if caller.role != "admin" and found.user != caller.name:

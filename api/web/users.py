@@ -7,12 +7,11 @@ from fastapi import APIRouter, Path, Request
 from api.access import accounts
 from api.bodies.access import Change, NewUser, User
 from api.bodies.base import Page
-from api.web.access import Caller, needs
+from api.web.access import Admin
 from api.web.context import Here
 from api.web.paging import DEFAULT_LIMIT, After, Limit, page
 
 router = APIRouter(prefix="/api/users", tags=["access"])
-Admin = Annotated[Caller, needs("admin")]
 Name = Annotated[str, Path(max_length=64, examples=["anna"])]
 
 

@@ -154,26 +154,35 @@ def _energy(dataset: Dataset, advice: _Advice) -> Check:
     found = energy(dataset)
     if not found.theta_in.size:
         return Check(name, None, "Not known: no incident angle has three usable directions.")
+    known = np.isfinite(found.rho)
+    if not known.any():
+        return Check(name, None, "Not known: at no incident angle and in no band of wavelengths is a value above zero.")
     # the largest in its own uncertainty: a badly known 1.1 says less than a well known 1.05
     excess = (found.rho - 1) / np.maximum(found.u, 1e-12)
     too_much = excess > ENERGY_FACTOR
     failed = bool(too_much.any())
-    angle, band = np.unravel_index(np.argmax(excess if failed else found.rho), found.rho.shape)
+    angle, band = np.unravel_index(np.nanargmax(excess if failed else found.rho), found.rho.shape)
     rho, u = float(found.rho[angle, band]), float(found.u[angle, band])
     said = (
         f"At θ in = {found.theta_in[angle]:.0f}° and {found.wavelengths[band]:.0f} nm, {rho:.3f} ± "
         f"{ENERGY_FACTOR * u:.3f} (k = {ENERGY_FACTOR:g}) of the light that falls in is reflected, if the surface is "
         f"isotropic and its BRDF depends on the half vector above all"
     )
+    dark = (
+        ""
+        if known.all()
+        else f" Not known for {int(np.sum(~known))} of {known.size} combinations of incident angle and band of "
+        f"wavelengths, where no value is above zero."
+    )
     if not failed:
-        return Check(name, True, f"{said}; nowhere is it more.")
+        return Check(name, True, f"{said}; nowhere is it more.{dark}")
     bands = found.wavelengths[too_much.any(axis=0)]
     where = f"at {bands[0]:.0f} nm" if bands.size == 1 else f"from {bands[0]:.0f} to {bands[-1]:.0f} nm"
     return Check(
         name,
         False,
-        f"{said}: more than all. So it is for {int(too_much.sum())} of {too_much.size} combinations of incident angle "
-        f"and band of wavelengths, {where}. {advice.energy}",
+        f"{said}: more than all. So it is for {int(too_much.sum())} of {int(known.sum())} combinations of incident "
+        f"angle and band of wavelengths, {where}.{dark} {advice.energy}",
     )
 
 

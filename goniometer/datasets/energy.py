@@ -60,9 +60,9 @@ class Energy(NamedTuple):
     wavelengths: FloatArray
     """[bands] centres, nm."""
     rho: FloatArray
-    """[angles, bands]"""
+    """[angles, bands]; NaN where no measured value of the slice is above zero, so that there is no light to sum."""
     u: FloatArray
-    """[angles, bands] standard uncertainty from all sources, of interpolating, and of leaving the plane."""
+    """[angles, bands] standard uncertainty from all sources, of interpolating, and of leaving the plane; NaN as rho."""
 
 
 class _Slice(NamedTuple):
@@ -159,9 +159,14 @@ def _nodes(dataset: Dataset, mean: Averages, members: NDArray[np.intp], filled: 
 def _reflectance(
     theta_in: float, nodes: _Nodes, mean: Averages, members: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """rho and its standard uncertainty, each [bands], from the nodes of a slice; `members` are the measured ones."""
+    """rho and its standard uncertainty, each [bands], from the nodes of a slice; `members` are the measured ones.
+
+    Both are NaN in a band of which no measured value is above zero.
+    """
     theta_out = nodes.theta_out
-    f = np.maximum(nodes.f, _DARK * nodes.f.max(axis=0))
+    smallest = _DARK * nodes.f.max(axis=0)
+    lit = (_DARK * nodes.f[nodes.measured].max(axis=0)) > 0
+    f = np.where(lit, np.maximum(nodes.f, smallest), 1.0)  # a dark band has no logarithm; what comes of it is dropped
     slice_ = _slice(theta_in, float(theta_out[0]), float(theta_out[-1]))
     at = np.clip(slice_.theta_out, theta_out[0], theta_out[-1])
     right = np.clip(np.searchsorted(theta_out, at), 1, theta_out.size - 1)
@@ -184,7 +189,8 @@ def _reflectance(
     by_filling = np.sum(np.abs(gain) * nodes.u, axis=0)
     by_sources = np.sqrt(_by_sources(gain[nodes.measured], mean, members))
     # what is filled comes from the measured points and shares their errors, so both may add up
-    return rho[1], np.sqrt((by_sources + by_filling) ** 2 + by_interpolation**2 + by_plane**2)
+    u = np.sqrt((by_sources + by_filling) ** 2 + by_interpolation**2 + by_plane**2)
+    return np.where(lit, rho[1], np.nan), np.where(lit, u, np.nan)
 
 
 def _by_sources(gain: FloatArray, mean: Averages, members: NDArray[np.intp]) -> FloatArray:

@@ -122,7 +122,7 @@ def learn(
     shape = Shape(fit_lobe(theta_in, theta_out, mean, u, offset), Scales(), offset, u_angle)
     u = shape.read_noise(theta_in, theta_out, values, noise)
     if u_angle > 0:  # a flank told how little it can tell
-        shape = replace(shape, lobe=fit_lobe(theta_in, theta_out, mean, u, offset))
+        shape = replace(shape, lobe=fit_lobe(theta_in, theta_out, mean, u, offset, shape.lobe))
         u = shape.read_noise(theta_in, theta_out, values, noise)
     at = coordinates(theta_in, theta_out, shape.lobe)
     residual, doubt = mean - shape.level(theta_in, theta_out), shape.doubt(theta_in, theta_out)

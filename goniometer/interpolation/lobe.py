@@ -5,6 +5,7 @@ they are and how wide says on which scale a BRDF changes there, which matters mo
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -25,6 +26,9 @@ _SCATTER = 0.05
 
 _LEAST_SCATTER = 0.003
 """The same where all points agree with a lobe."""
+
+_FIRST_STEPS, _MOST_STEPS = 6, 25
+"""Of the fit, from each of several starts, and from the best of them on."""
 
 _MOST_BUMPS = 3
 
@@ -186,49 +190,62 @@ def _smith(cosine: FloatArray, alpha2: float) -> FloatArray:
     return np.asarray(2 / (1 + np.sqrt(1 + alpha2 * (1 / cosine**2 - 1))))
 
 
-def fit_lobe(theta_in: FloatArray, theta_out: FloatArray, latent: FloatArray, noise: FloatArray, offset: float) -> Lobe:
+def fit_lobe(
+    theta_in: FloatArray,
+    theta_out: FloatArray,
+    latent: FloatArray,
+    noise: FloatArray,
+    offset: float,
+    begin: Lobe | None = None,
+) -> Lobe:
     """The lobes that describe most points, of all incident angles at once, [points] each; angles in degrees.
 
     `latent` is ln(offset + cos(theta_in) f), `noise` its standard uncertainty. Points that the main lobe cannot
     describe count little (soft L1 loss), so a second lobe does not spoil the first; then a bump is put where the
-    brightest of them is, as long as that explains much. The best of several starts each time.
+    brightest of them is, as long as that explains much. Each time a few steps are taken from several starts, and the
+    best of them is followed to its end; from lobes to `begin` with, where somebody has them, there is one start.
     """
 
     def fitted(starts: list[FloatArray], scatter: float, fixed: int = 0) -> tuple[FloatArray, float]:
-        """The best parameters and their cost, the first `fixed` parameters staying as they are."""
+        """The best parameters and their cost, the first `fixed` parameters, the same in all starts, as they are."""
         scale = np.hypot(noise, scatter)
-        bumps = (starts[0].size - _LOWEST.size) // 4
+        bumps = (starts[0].size - _MAIN) // 4
         low = np.concatenate([_LOWEST, *[_LOWEST_BUMP] * bumps])
         high = np.concatenate([_HIGHEST, *[_HIGHEST_BUMP] * bumps])
-        best, lowest = starts[0], np.inf
-        for start in np.clip(starts, low, high):
+        within = np.clip(starts, low, high)
+        kept = within[0, :fixed]
+        if fixed:
+            low[-3], high[-3] = within[0, -3] - _NEAR, within[0, -3] + _NEAR
 
-            def residuals(free: FloatArray, kept: FloatArray = start[:fixed]) -> FloatArray:
-                model = _cosine_brdf(np.concatenate([kept, free]), theta_in, theta_out)
-                return np.asarray((np.log(offset + model) - latent) / scale)
+        def residuals(free: FloatArray) -> FloatArray:
+            model = _cosine_brdf(np.concatenate([kept, free]), theta_in, theta_out)
+            return np.asarray((np.log(offset + model) - latent) / scale)
 
-            def slopes(free: FloatArray, kept: FloatArray = start[:fixed]) -> FloatArray:
-                every = np.concatenate([kept, free])
-                level = (offset + _cosine_brdf(every, theta_in, theta_out)) * scale
-                return np.asarray(_slopes(every, theta_in, theta_out)[:, fixed:] / level[:, None])
+        def slopes(free: FloatArray) -> FloatArray:
+            every = np.concatenate([kept, free])
+            level = (offset + _cosine_brdf(every, theta_in, theta_out)) * scale
+            return np.asarray(_slopes(every, theta_in, theta_out)[:, fixed:] / level[:, None])
 
-            if fixed:
-                low[-3], high[-3] = start[-3] - _NEAR, start[-3] + _NEAR
+        def followed(free: FloatArray, steps: int) -> Any:
             limits = low[fixed:], high[fixed:]
-            found = scipy.optimize.least_squares(
-                residuals, start[fixed:], slopes, bounds=limits, loss="soft_l1", max_nfev=25
-            )
-            if found.cost < lowest:
-                best, lowest = np.concatenate([start[:fixed], found.x]), float(found.cost)
-        return best, lowest
+            return scipy.optimize.least_squares(residuals, free, slopes, bounds=limits, loss="soft_l1", max_nfev=steps)
 
-    near = np.argmin(np.abs(theta_out - theta_in))
-    height = latent[near] + np.log(4 * np.cos(np.radians(theta_out[near])))
-    floor = float(np.quantile(latent, 0.2))
-    best, _ = fitted(
-        [np.array([height, np.log(alpha), 2.0, floor, 0.0, floor - 1.5, np.log(6.0)]) for alpha in _STARTS], _SCATTER
-    )
-    for _ in range(_MOST_BUMPS):
+        ways = [start[fixed:] for start in within]
+        if len(ways) > 1:
+            ways = [min((followed(way, _FIRST_STEPS) for way in ways), key=lambda found: found.cost).x]
+        found = followed(ways[0], _MOST_STEPS)
+        return np.concatenate([kept, found.x]), float(found.cost)
+
+    if begin is None:
+        near = np.argmin(np.abs(theta_out - theta_in))
+        height = latent[near] + np.log(4 * np.cos(np.radians(theta_out[near])))
+        floor = float(np.quantile(latent, 0.2))
+        others = 2.0, floor, 0.0, floor - 1.5, np.log(6.0)
+        starts = [np.array([height, np.log(alpha), *others]) for alpha in _STARTS]
+    else:
+        starts = [begin._parameters()]
+    best, _ = fitted(starts, _SCATTER)
+    while best.size < _MAIN + 4 * _MOST_BUMPS:
         above = latent - np.log(offset + _cosine_brdf(best, theta_in, theta_out))
         scatter = float(np.clip(1.48 * np.median(np.abs(above)), _LEAST_SCATTER, _SCATTER))
         top = int(np.argmax(above / np.hypot(noise, scatter)))

@@ -238,7 +238,8 @@ def _sums(measured: Signal, known: Response, weights: FloatArray, total: Total, 
     if np.any(divisor <= 0):
         raise CalibrationError(
             f"The reference scan of scan {scan_id} shows no light at some wavelengths; "
-            f"check lamp and fibre and repeat it, or calibrate a narrower range"
+            f"check lamp, fibre and panel, and measure again as a campaign of another name, with a longer "
+            f"integration.maximum or more reference.scans where the panel is only dim"
         )
     counts = weights**2 @ total(of_panel.variance)
     # Reference points share their darks, so the error of a dark does not average out between them.

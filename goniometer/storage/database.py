@@ -42,6 +42,9 @@ _REFUSALS: tuple[tuple[str, type[StoreError], str], ...] = (
 BUSY = 10
 """Seconds that is waited for another process that writes an SQLite file."""
 
+_LOOKED_AT = 0.05
+"""Seconds that is waited for who only looks whether an SQLite file is in use, and locks it for that moment."""
+
 CONNECTIONS = 40
 """To a file, that are kept open once they were needed."""
 
@@ -293,7 +296,7 @@ def shown_place(where: Path | str) -> str:
 
 
 def _is_file(url: URL) -> bool:
-    return url.get_backend_name() == "sqlite" and url.database not in {None, "", ":memory:"}
+    return url.get_backend_name() == "sqlite"
 
 
 def _bench_key(bench: str) -> int:
@@ -305,10 +308,10 @@ def _lock_of(file: Path, bench: str) -> Path:
 
 
 def _lock_file(lock_file: Path, held: ExitStack) -> bool:
-    """Lock a file until `held` ends, unless another process has."""
+    """Lock a file until `held` ends, unless another process has it for longer than to look at it."""
     lock = FileLock(lock_file)
     try:
-        lock.acquire(timeout=0)
+        lock.acquire(timeout=_LOOKED_AT, poll_interval=_LOOKED_AT / 10)
     except Timeout:
         return False
     held.callback(lock.release)
@@ -316,8 +319,15 @@ def _lock_file(lock_file: Path, held: ExitStack) -> bool:
 
 
 def _url(where: Path | str) -> URL:
-    if not (isinstance(where, str) and "://" in where):
-        return URL.create("sqlite", database=str(where))
+    is_address = isinstance(where, str) and "://" in where
+    url = _address(str(where)) if is_address else URL.create("sqlite", database=str(where))
+    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
+        # SQLite takes these, and forgets with the process what was kept there
+        raise StoreError(f'"{where}" is not the name of a database; give a file, or an address')
+    return url
+
+
+def _address(where: str) -> URL:
     try:
         url = make_url(where)
     except (ArgumentError, ValueError):  # the latter for a port that is no number

@@ -126,6 +126,17 @@ class Derived(Catalogue):
         query = select(func.max(tables.fits.c.id).label("id")).where(tables.fits.c.dataset_id == dataset_id)
         return int(self.rows(query)[0].id or 0)
 
+    def has_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> bool:
+        """Whether that content was written to `path` as an export of a dataset in a format."""
+        here = tables.exports.c
+        wanted = select(here.id).where(
+            here.dataset_id == dataset_id,
+            here.path == str(path),
+            here.format == file_format,
+            here.sha256 == sha256,
+        )
+        return bool(self.rows(wanted.limit(1)))
+
     def add_export(self, dataset_id: int, path: Path, file_format: str, sha256: str) -> int:
         """Note that a file was written from a dataset; returns the export's id."""
         with self.writing() as connection:

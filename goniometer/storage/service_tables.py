@@ -86,6 +86,7 @@ jobs = Table(
     Column("share", Float),  # of the work that is done
     Column("words", Text, nullable=False, default=""),
     Column("reason", Text, nullable=False, default=""),
+    Column("fault", String),  # what a program calls the reason, where it failed
     Column("runner", String, nullable=False),  # the process that answers for it
     Column("beat", Float, nullable=False),  # when that process was last known to live, seconds since 1970
     Column("created", String, nullable=False),

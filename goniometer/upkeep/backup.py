@@ -1,5 +1,6 @@
 """A second copy of an SQLite database, whole and checked, made while others go on writing; and the way back."""
 
+import errno
 import os
 import sqlite3
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pathlib import Path
 from sqlalchemy import create_engine, inspect, select
 from sqlalchemy.pool import NullPool
 
-from goniometer.errors import NotInStore, RawDamaged, StoreBusy, StoreError
+from goniometer.errors import NotInStore, RawDamaged, StoreBusy, StoreError, StoreFull
 from goniometer.storage import tables
 from goniometer.storage.database import Database
 from goniometer.storage.records import HASHED, exposure_hash
@@ -19,13 +20,15 @@ from goniometer.upkeep.integrity import damage, kept_inside
 _PATIENCE = 10.0
 """Seconds that others may keep the database locked."""
 
+_NO_ROOM = "cannot be made: there is no room left; make room there, or name a file in another folder"
+
 
 def back_up(database: Database, target: Path) -> None:
     """Write all that is committed to the file `target`, which is there whole or not at all, however this ends.
 
-    Raises `StoreError` where there is such a file, where the original is damaged, or is no SQLite file.
+    Raises `StoreError` where there is such a file or none can be, where the original is damaged, or is no SQLite file.
     """
-    if target.exists():
+    if os.path.exists(target):  # a folder that may not be looked into is told of below
         raise StoreError(f"{target} is there already; name a file that is not")
     with database.faults(), _copied(_file_of(database), target, database.where) as part:
         os.rename(part, target)
@@ -72,12 +75,13 @@ def _file_of(database: Database) -> Path:
 @contextmanager
 def _copied(source: Path, target: Path, called: str) -> Iterator[Path]:
     """A whole copy of an SQLite file beside `target`, on the disk; to be renamed in the block, or else it goes away."""
-    part = target.with_name(target.name + ".part")
-    part.unlink(missing_ok=True)
+    part = _begun(target)
     try:
         try:
             _copy(source, part)
-        except sqlite3.OperationalError:  # no room, no right: which is nobody's damage
+        except sqlite3.OperationalError as error:  # no room, no right: which is nobody's damage
+            if "full" in str(error):
+                raise StoreFull(f"{target} {_NO_ROOM}") from error
             raise
         except sqlite3.DatabaseError as error:
             raise StoreError(f"{called} cannot be copied, for it is not whole: {error}") from error
@@ -87,6 +91,24 @@ def _copied(source: Path, target: Path, called: str) -> Iterator[Path]:
         flush(target.parent)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _begun(target: Path) -> Path:
+    """An empty file beside `target`; raises `StoreError` where there can be none, before SQLite blames the original."""
+    try:
+        part = target.with_name(target.name + ".part")
+        part.unlink(missing_ok=True)
+        part.touch(0o644)  # as SQLite makes its files
+    except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            raise StoreFull(f"{target} {_NO_ROOM}") from None
+        reason = (error.strerror if isinstance(error, OSError) else None) or error
+        if isinstance(error, FileNotFoundError) and not os.path.lexists(target.parent):
+            reason = f"the folder {target.parent} does not exist"
+        raise StoreError(
+            f"{target} cannot be made: {reason}; name a file in a folder where this account may write"
+        ) from None
+    return part
 
 
 def _copy(source: Path, part: Path) -> None:

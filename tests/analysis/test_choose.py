@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_the_interval_of_a_colour_error_holds_the_true_one_whatever_the_measurem
         models = fit_models(dataset, local_fit_for(dataset, METAL_FITS[1:2]), METAL_FITS[1:2])
         known = reference_table(dataset, SAMPLE[0], seed=seed + 10)
         for name, vertices in seen_in.items():
-            choice = choose(lambda _, vertices=vertices: vertices, known, models, metal, 1e-3)
+            choice = choose(partial(lambda found, _: found, vertices), known, models, metal, 1e-3)
             judged = next(each for each in choice.judged if each.rung.name == name)
             mine = image(vertices, judged.rung.model, NODES).mean(axis=0)
             error = float(choice.picture.display.difference(mine, right[name]).mean())

@@ -53,7 +53,8 @@ for name, material in job["materials"].items():
     answer[name]["samples"] = samples
     if "builtin" in material:
         answer[name]["builtin"] = values(mi.load_dict(material["builtin"]), material)["eval"]
-json.dump(answer, open(sys.argv[2], "w"))
+with open(sys.argv[2], "w") as file:
+    json.dump(answer, file)
 """
 
 ALL = np.array([300.0, 900.0])
@@ -66,7 +67,7 @@ LIT_FROM = np.array([np.sin(np.radians(40)), 0.0, np.cos(np.radians(40))])
 def metal(alpha: float, *shift: float, distribution: str = "ggx") -> Microfacet:
     """Aluminium; `shift` are h and w, all six of two components, or nothing."""
     kind = {0: "none", 2: "cosine", 6: "two-component"}[len(shift)]
-    form = Form(load_conductor(), kind, distribution)  # type: ignore[arg-type]
+    form = Form(load_conductor(), kind, distribution)
     return Microfacet(form, np.array([alpha, *shift]), None)
 
 
@@ -74,7 +75,7 @@ def paint(alpha: float, *shift: float) -> Microfacet:
     """A dielectric that is dark in the blue."""
     kind = {0: "none", 2: "cosine", 6: "two-component"}[len(shift)]
     colour = Albedo(ALL, np.array([0.05, 0.4]), np.zeros(2))
-    return Microfacet(Form(None, kind), np.array([alpha, 1.5, *shift]), colour)  # type: ignore[arg-type]
+    return Microfacet(Form(None, kind), np.array([alpha, 1.5, *shift]), colour)
 
 
 GLOSS = Microfacet(Form(None, "none"), np.array([0.1, 1.5]), Albedo(ALL, np.array([0.3, 0.95]), np.zeros(2)))

@@ -1,6 +1,7 @@
 """Figures show the measured values where they were measured, and can be read on any page."""
 
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -8,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from analysis.colour import colour_differences
 from analysis.figures.curves import distributions, slopes, spectra
 from analysis.figures.filled import STEP
 from analysis.figures.maps import cell_edges, colour_map, difference_map, difference_scale
@@ -16,6 +18,8 @@ from analysis.figures.shown_colours import Exposure, exposure_of
 from analysis.figures.svg import INK, hex_colour, line_colours
 from analysis.fits.analyse import analyse
 from analysis.fits.noise import at_wavelength
+from analysis.reports.measured import measured_chapter
+from analysis.reports.models import models_chapter
 from analysis.results import SampleAnalysis
 from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.datasets.fill import fill, unmeasured
@@ -162,7 +166,7 @@ def test_a_white_reflector_is_drawn_white_and_a_red_one_red(rough_analysis: Samp
         sources=(ErrorSource("random: counts", "random", 0.01 * brdf, None, False),),
         flags=np.zeros(3, dtype=np.uint16),
     )
-    svg = colour_map(small, brdf, Exposure(1.0, 0), "x", "x")
+    svg = colour_map(small, brdf, Exposure(1.0, 0, 3), "x", "x")
     fills = [e.get("fill") or "" for e in ElementTree.fromstring(svg).iter(f"{SVG}rect") if e.get("fill")]
     assert fills[0] == "#ffffff"
     assert fills[2] in ("#7f7f7f", "#808080")
@@ -191,6 +195,33 @@ def test_points_without_a_value_leave_a_pale_cell_and_break_nothing(rough_analys
     assert "#80808026" in svg
     ElementTree.fromstring(distributions(gap, "y"))
     ElementTree.fromstring(spectra(gap, rough_analysis.local, "z"))
+
+
+def test_a_dataset_whose_spectra_all_have_a_gap_is_reported_without_colours_and_without_warnings(
+    rough_analysis: SampleAnalysis,
+) -> None:
+    dataset = rough_analysis.dataset
+    brdf = dataset.brdf.copy()
+    brdf[:, 30] = np.nan
+    gap = replace(dataset, brdf=brdf)
+    differences = {
+        name: colour_differences(brdf, rough_analysis.model(name).fitted, gap.wavelengths, gap.theta_in)
+        for name in ("cook-torrance", "cook-torrance-shift")
+    }
+    models = tuple(
+        replace(fit, comparison=fit.comparison and replace(fit.comparison, dE00=float("nan")))
+        for fit in rough_analysis.models
+    )
+    analysis = replace(rough_analysis, dataset=gap, models=models, differences=differences)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        page = measured_chapter(analysis) + models_chapter(analysis)
+    assert not re.search(r"\bnan\b", page)
+    assert "No cell has a colour" in page
+    assert "mean not known" in page
+    assert "No cell has a colour" not in measured_chapter(rough_analysis)
+    black = exposure_of(replace(dataset, brdf=np.zeros_like(brdf)))
+    assert (black.factor, black.clipped, black.coloured) == (1.0, 0, dataset.theta_in.size)
 
 
 def test_a_sample_that_drowns_in_noise_still_gets_its_report(rough_analysis: SampleAnalysis) -> None:

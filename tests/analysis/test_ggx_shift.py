@@ -63,7 +63,8 @@ for name, (what, parameters, incident, others) in job["tasks"].items():
             drawn = (bsdf.sample(context, si, a, mi.Point2f(b, c)) for a, b, c in others)
             found.append([[*s.wo, s.pdf, *weight] for s, weight in drawn])
         answer[name] = found
-json.dump(answer, open(sys.argv[2], "w"))
+with open(sys.argv[2], "w") as file:
+    json.dump(answer, file)
 """
 
 

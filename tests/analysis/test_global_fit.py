@@ -13,6 +13,7 @@ from analysis.fits.global_fit import global_fit
 from analysis.fits.local_fit import local_fit, shifted_fresnel
 from analysis.reflectance.fresnel import load_conductor
 from analysis.reflectance.models import cosine_slope
+from drivers.arrays import FloatArray
 from goniometer.datasets.dataset import Dataset
 from goniometer.uncertainty import ErrorSource, everywhere
 
@@ -68,14 +69,14 @@ def test_no_start_of_another_optimiser_finds_a_better_cosine() -> None:
     fit = global_fit(dataset, local)
     theta = np.radians(0.5 * np.abs(THETA_OUT - THETA_IN))
     random = np.random.default_rng(1)
+
+    def residual(x: FloatArray) -> FloatArray:
+        return (x[0] * np.cos(x[1] * theta) + x[2] - local.slope) / local.u_slope
+
     lowest = np.inf
     for _ in range(60):
         start = random.uniform([-3, 0.1, -2], [3, 12, 2])
-        other = least_squares(
-            lambda x: (x[0] * np.cos(x[1] * theta) + x[2] - local.slope) / local.u_slope,
-            start,
-            bounds=([-np.inf, 0.1, -np.inf], [np.inf, 12, np.inf]),
-        )
+        other = least_squares(residual, start, bounds=([-np.inf, 0.1, -np.inf], [np.inf, 12, np.inf]))
         lowest = min(lowest, 2 * other.cost)
     assert fit.cost_value <= lowest * (1 + 1e-7)
 

@@ -120,7 +120,7 @@ def test_a_line_that_no_spectrum_should_have_is_an_error_that_all_slopes_share()
 def test_a_wrong_metal_does_not_give_a_confident_shift(measure: Measure) -> None:
     silver = load_conductor("main", "Ag", "Johnson")
 
-    def seen(nodes, nm):  # type: ignore[no-untyped-def]
+    def seen(nodes, nm):
         from analysis.reflectance.models import microfacet  # noqa: PLC0415
 
         fresnel = fresnel_conductor(nodes.cos_d[..., None], *silver.index(nm))

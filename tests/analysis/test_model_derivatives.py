@@ -90,8 +90,8 @@ def test_a_fit_of_the_refractive_index_goes_downhill(eta: float) -> None:
 def test_a_fit_of_a_metal_goes_downhill(distribution: Distribution, alpha: float, h: float) -> None:
     # at h = 0 the value leaves the shift out and does not see a complex w, which has no effect there
     _check(
-        lambda *p: cook_torrance(DIRECTIONS, WAVELENGTHS, p[0], ALUMINIUM, *p[1:], distribution),
-        lambda *p: cook_torrance_derivative(DIRECTIONS, WAVELENGTHS, p[0], ALUMINIUM, *p[1:], distribution),
+        lambda a, h, w: cook_torrance(DIRECTIONS, WAVELENGTHS, a, ALUMINIUM, h, w, distribution),
+        lambda a, h, w: cook_torrance_derivative(DIRECTIONS, WAVELENGTHS, a, ALUMINIUM, h, w, distribution),
         (alpha, h, 3.4),
     )
 
@@ -101,8 +101,8 @@ def test_a_fit_of_a_metal_goes_downhill(distribution: Distribution, alpha: float
 def test_a_fit_of_a_dielectric_goes_downhill(distribution: Distribution, alpha: float) -> None:
     r_d = np.linspace(0.1, 0.8, WAVELENGTHS.size)
     _check(
-        lambda *p: dielectric(DIRECTIONS, WAVELENGTHS, p[0], p[1], r_d, *p[2:], distribution),
-        lambda *p: dielectric_derivative(DIRECTIONS, WAVELENGTHS, p[0], p[1], r_d, *p[2:], distribution),
+        lambda a, eta, h, w: dielectric(DIRECTIONS, WAVELENGTHS, a, eta, r_d, h, w, distribution),
+        lambda a, eta, h, w: dielectric_derivative(DIRECTIONS, WAVELENGTHS, a, eta, r_d, h, w, distribution),
         (alpha, 1.5, 1.2, 2.7),
     )
 

@@ -57,8 +57,8 @@ def test_a_difference_is_that_of_the_displayed_colours() -> None:
     found = compare(_pictures(images))
     # the first is shown as white, and what is brighter is cut
     white = found.display.white[:2] / found.display.white.sum()
-    lab = [colour.XYZ_to_Lab(rgb_to_xyz(np.minimum(rgb / 0.5, 1)), white) for rgb in (grey, tinted)]
-    expected = float(colour.delta_E(*lab, method="CIE 2000"))
+    one, other = (colour.XYZ_to_Lab(rgb_to_xyz(np.minimum(rgb / 0.5, 1)), white) for rgb in (grey, tinted))
+    expected = float(colour.delta_E(one, other, method="CIE 2000"))
     assert found.mean == pytest.approx(expected, rel=1e-3)
     np.testing.assert_allclose(found.difference, expected, rtol=1e-3)
 
@@ -97,12 +97,12 @@ def test_a_table_looks_like_the_exact_model_within_the_error_that_its_file_state
     whole = found.images[0, :, found.covered]
     assert found.covered.sum() > 100
     for i, error in enumerate(stated):
-        exact, table = whole[:, 2 * i], whole[:, 2 * i + 1]
+        exact, tabulated = whole[:, 2 * i], whole[:, 2 * i + 1]
         lit = exact[:, 1] > 0.01 * exact[:, 1].max()
-        relative = np.abs(table[lit, 1] / exact[lit, 1] - 1)
+        relative = np.abs(tabulated[lit, 1] / exact[lit, 1] - 1)
         # some pixels show more grazing angles than the 80 degrees up to which the file states its error
         assert np.percentile(relative, 90) < error.error.p99
-        assert table[lit, 1].sum() == pytest.approx(exact[lit, 1].sum(), rel=0.005)
+        assert tabulated[lit, 1].sum() == pytest.approx(exact[lit, 1].sum(), rel=0.005)
         assert np.median(relative) < 3 * error.error.median
         assert compare(found, 2 * i, 2 * i + 1).mean < 0.3
     # and what was rendered is not one scene four times

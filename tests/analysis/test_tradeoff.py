@@ -30,7 +30,11 @@ def test_all_ways_are_timed_in_turns_and_none_always_follows_the_same() -> None:
     ticks = iter(range(1000))
 
     def way(name: str) -> Candidate:
-        return Candidate(name, name, "made", lambda number: order.append((name, number)) or number)
+        def run(number: int) -> int:
+            order.append((name, number))
+            return number
+
+        return Candidate(name, name, "made", run)
 
     timed = race([way("a"), way("b"), way("c")], 3, clock=lambda: float(next(ticks)))
     assert [name for name, _ in order] == list("abc" + "abc" + "bca" + "cab")

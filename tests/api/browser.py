@@ -31,7 +31,7 @@ class Looker:
     def look(self, name: str) -> None:
         """Keep a picture, dark and light, and ask axe."""
         for scheme in ("dark", "light"):
-            self.page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            self.page.emulate_media(color_scheme=scheme)
             self.page.screenshot(path=self.shots / f"{name}-{scheme}.png", full_page=True)
             found = Axe().run(self.page)
             self.faults += [f"{name}, {scheme}: {each['id']}: {each['help']}" for each in found.response["violations"]]

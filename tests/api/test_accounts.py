@@ -119,7 +119,7 @@ def test_the_last_admin_cannot_lock_the_door_behind_themselves(either: Store) ->
 
 def test_each_role_may_do_what_those_before_it_may() -> None:
     order = ["viewer", "operator", "metrologist", "admin"]
-    assert [[at_least(a, b) for b in order] for a in order] == [  # type: ignore[arg-type]
+    assert [[at_least(a, b) for b in order] for a in order] == [
         [True, False, False, False],
         [True, True, False, False],
         [True, True, True, False],
@@ -134,7 +134,7 @@ def test_a_token_never_may_more_than_its_owner_may_now(either: Store) -> None:
         create_token(either, "anna", "too much", "admin")
     text, _ = create_token(either, "anna", "script", "operator")
     for role, may in (("metrologist", "operator"), ("admin", "operator"), ("viewer", "viewer")):
-        set_role(either, "anna", role)  # type: ignore[arg-type]
+        set_role(either, "anna", role)
         caller = token_caller(either, text)
         assert caller is not None
         assert (caller.name, caller.role) == ("anna", may)

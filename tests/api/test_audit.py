@@ -182,5 +182,5 @@ def test_secrets_do_not_enter_the_log_and_odd_values_do_not_stop_it(store: Store
 
 def test_a_row_of_unknown_origin_is_refused(store: Store) -> None:
     with pytest.raises(StoreError):
-        record(store, "anna", "try", {}, "telepathy")  # type: ignore[arg-type]
+        record(store, "anna", "try", {}, "telepathy")
     assert entries(store) == []

@@ -2,6 +2,7 @@
 
 import json
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,18 @@ from goniometer.storage.store import Store
 from tests.api.conftest import Cli
 from tests.databases import fresh_database, outside
 from tests.drawn_dataset import drawn_dataset
-from tests.served import LONG, TINY, served, wait_for
+from tests.served import LONG, TINY, Served, served, wait_for
+
+ENDING = 60_000
+"""Milliseconds that the end of a connection may take; without them PostgreSQL asks it to end and waits for nothing."""
+
+
+def is_finished(service: Served, number: int) -> bool:
+    return bool(service.entry(number)["phase"] == "finished")
+
+
+def is_under_way(service: Served, number: int) -> bool:
+    return bool(service.entry(number)["points_done"] > 3)
 
 
 @pytest.mark.slow
@@ -29,7 +41,7 @@ def test_two_services_measure_at_once_on_one_database_and_each_lists_the_dataset
         services = {"left": left, "right": right}
         entries = {bench: service.ordered(TINY, name=f"On the {bench}") for bench, service in services.items()}
         for bench, service in services.items():
-            wait_for(lambda service=service, number=entries[bench]: service.entry(number)["phase"] == "finished")
+            wait_for(partial(is_finished, service, entries[bench]))
             ended = service.entry(entries[bench])
             assert (ended["outcome"], ended["reason"]) == ("completed", "")
             assert service.state()["name"] == bench
@@ -54,12 +66,12 @@ def test_a_stop_stops_its_own_bench_only(tmp_path: Path, database: Path | str) -
     ):
         entries = {service: service.ordered(LONG, name=service.url) for service in (left, right)}
         for service, number in entries.items():
-            wait_for(lambda service=service, number=number: service.entry(number)["points_done"] > 3)
+            wait_for(partial(is_under_way, service, number))
         assert left.client.post("/api/instrument/stop").status_code == 200
         wait_for(lambda: left.entry(entries[left])["phase"] == "finished")
         before = right.entry(entries[right])["points_done"]
         wait_for(lambda: right.entry(entries[right])["points_done"] > before)
-        assert right.client.post(f"/api/queue/{entries[right]}/abort").status_code == 200
+        wait_for(lambda: right.client.post(f"/api/queue/{entries[right]}/abort").status_code == 200)
 
 
 @pytest.mark.slow
@@ -90,7 +102,7 @@ def end_connections(database: str) -> None:
     with outside(database) as other:
         other.execute(
             text(
-                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                f"SELECT pg_terminate_backend(pid, {ENDING}) FROM pg_stat_activity "
                 "WHERE datname = current_database() AND pid <> pg_backend_pid()"
             )
         )
@@ -125,7 +137,11 @@ def test_who_loses_the_connection_that_keeps_others_out_writes_nothing_more(post
             store.add_characterisation("noise", "{}")
             with outside(database) as other:
                 other.execute(
-                    text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory' AND granted")
+                    text(
+                        f"SELECT pg_terminate_backend(pid, {ENDING}) FROM pg_locks "
+                        "WHERE locktype = 'advisory' AND granted "  # of all databases; other tests have theirs here
+                        "AND database = (SELECT oid FROM pg_database WHERE datname = current_database())"
+                    )
                 )
             with pytest.raises(StoreError, match="ended the connection that kept others"):
                 store.add_characterisation("noise", "{}")

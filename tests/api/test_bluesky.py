@@ -141,7 +141,7 @@ def test_where_the_bench_cannot_measure_a_plan_fails_before_anything_moves(
     assert isinstance(failure.value.__cause__, GeometryError | DriverError)
     for device, value in ((bench.direction, 5), (bench.integration_time, 0), (bench.shutter, "ajar")):
         with pytest.raises(InputError):
-            device.set(value)  # type: ignore[arg-type]
+            device.set(value)
     (data,) = events(run(engine, count([bench.direction])))
     assert (data["direction_theta_in"], data["direction_theta_out"]) == pytest.approx((20, 20), abs=0.05)
 
@@ -170,7 +170,7 @@ def test_a_run_that_was_paused_goes_on_where_it_stood(bench: BlueskyBench, engin
 def test_a_command_that_fails_says_so_to_whoever_waits(bench: BlueskyBench) -> None:
     told: list[Done] = []
     done = bench.detector_stage.set(1000.0)
-    done.add_callback(told.append)  # type: ignore[arg-type]
+    done.add_callback(told.append)
     assert isinstance(done.exception(60.0), GeometryError | DriverError)
     assert (done.done, done.success) == (True, False)
     deadline = time.monotonic() + 60
@@ -184,7 +184,7 @@ def test_a_scan_of_the_database_is_a_valid_stream_of_documents_with_the_same_num
 ) -> None:
     store = Store.open(small[0] / "goniometer.db")
     # as they are in the file, read by anybody's JSON
-    documents: Documents = [tuple(json.loads(line)) for line in bluesky_lines(store, 1).splitlines()]  # type: ignore[misc]
+    documents: Documents = [tuple(json.loads(line)) for line in bluesky_lines(store, 1).splitlines()]
     validate(documents)
     dataset, scan = store.dataset(1), store.scan(2)
     assert documents[0][1]["scan_id"] == scan.id
@@ -213,6 +213,6 @@ def test_what_no_bench_measured_is_a_stream_of_documents_too(tmp_path: Path) -> 
     drawn = drawn_dataset("sample-1").at_points(np.arange(6))
     drawn.brdf[2, 3] = np.nan
     dataset_id = store.add_dataset(None, drawn)
-    documents: Documents = [tuple(json.loads(line)) for line in bluesky_lines(store, dataset_id).splitlines()]  # type: ignore[misc]
+    documents: Documents = [tuple(json.loads(line)) for line in bluesky_lines(store, dataset_id).splitlines()]
     validate(documents)
     assert [data["brdf"][3] is None for data in events(documents)] == [False, False, True, False, False, False]

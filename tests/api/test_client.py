@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import h5py
 import httpx
@@ -58,8 +59,9 @@ def test_the_example_campaign_measures_fits_draws_and_exports(bench: tuple[Serve
     with h5py.File(folder / "sample-4.h5") as file:  # somebody else's reader
 
         def same(_: str, item: object) -> bool | None:
-            found = isinstance(item, h5py.Dataset) and item.shape == stored.brdf.shape
-            return True if found and np.array_equal(item[()], stored.brdf, equal_nan=True) else None
+            if not isinstance(item, h5py.Dataset) or item.shape != stored.brdf.shape:
+                return None
+            return True if np.array_equal(item[()], stored.brdf, equal_nan=True) else None
 
         assert file.visititems(same)
 
@@ -77,12 +79,32 @@ def test_what_the_service_refuses_is_the_exception_of_the_same_work_here(bench: 
         assert isinstance(cause, Refused)
         assert (cause.problem.status, cause.method, cause.path) == (409, "DELETE", "/api/jobs/1")
         sent = client(calls.upload("none.csv", b"nothing in here\n"))
-        with pytest.raises(JobFailed, match="aperture"):
+        with pytest.raises(JobFailed, match="aperture") as failed:
             client.wait(client(calls.import_file(ImportAsked(upload=sent.upload))))
+        assert failed.value.job.fault == "option-error"
     with Client(service.url, "gonio_wrong") as stranger, pytest.raises(Unauthorised):
         stranger(calls.about())
     with Client("http://127.0.0.1:9", token) as nobody, pytest.raises(Unreachable, match="goniometer serve"):
         nobody(calls.about())
+
+
+@pytest.mark.parametrize("kind", [Client, AsyncClient])
+@pytest.mark.parametrize(
+    "token", [None, "", "gonio_abc\n", "gonio_ä"], ids=["none", "empty", "read with its line", "no ASCII"]
+)
+def test_what_can_be_no_token_is_refused_before_it_is_sent_and_not_repeated(kind: Any, token: str | None) -> None:
+    with pytest.raises(InputError, match="The token is empty, or has") as refused:
+        kind("http://127.0.0.1:8000", token)
+    assert "gonio_" not in str(refused.value)
+
+
+@pytest.mark.parametrize("kind", [Client, AsyncClient])
+@pytest.mark.parametrize(
+    "url", [None, "", "127.0.0.1:8000", "localhost:8000", "ftp://bench", " http://a", "http://a\n"]
+)
+def test_what_is_no_address_is_not_called_a_service_that_does_not_answer(kind: Any, url: str | None) -> None:
+    with pytest.raises(InputError, match=r"is not the address of a service; give e\.g\. http://"):
+        kind(url, "gonio_abc")
 
 
 def test_a_script_that_reads_raw_counts_catches_a_damaged_exposure_as_it_does_here(
@@ -119,7 +141,7 @@ def test_a_script_that_reads_raw_counts_catches_a_damaged_exposure_as_it_does_he
 def test_a_script_learns_which_request_was_lost_and_how(
     sends: bytes | None, error: type[Unreachable], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(api.client, "_TIMEOUT", httpx.Timeout(0.5))
+    monkeypatch.setattr(api.client, "_TIMEOUT", httpx.Timeout(0.5 if sends is None else 60.0))
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
 
         def serve() -> None:
@@ -147,13 +169,13 @@ def test_both_clients_give_the_same_answers_and_hear_of_jobs(bench: tuple[Served
         async with AsyncClient(service.url, token) as client:
             rows = [row.name async for row in client.every(calls.scans())]
             listening = client.events()
-            first: asyncio.Future[Event] = asyncio.ensure_future(anext(listening))  # type: ignore[arg-type]
+            first: asyncio.Future[Event] = asyncio.ensure_future(anext(listening))
             await asyncio.sleep(0.5)
             result = await client.wait(await client(calls.export(1, ExportAsked(format="json"))))
             heard = await first
             while heard.kind != "job":
                 heard = await anext(listening)
-            await listening.aclose()  # type: ignore[attr-defined]
+            await listening.aclose()
             return await client(calls.colour_map(1)), rows, result, heard
 
     found, rows, result, heard = asyncio.run(ask())
@@ -165,7 +187,7 @@ def test_both_clients_give_the_same_answers_and_hear_of_jobs(bench: tuple[Served
         assert rows == [row.name for row in client.every(calls.scans())]
         listening = client.events(after="unknown-1")
         assert next(listening).kind == "reset"
-        listening.close()  # type: ignore[attr-defined]
+        listening.close()
 
 
 def test_a_list_is_read_to_its_end_page_after_page(bench: tuple[Served, str, Path]) -> None:

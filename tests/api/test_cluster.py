@@ -170,7 +170,7 @@ def test_a_service_has_its_fits_made_on_the_cluster_and_stores_what_it_would_hav
 ) -> None:
     def tasks() -> int:
         """Done by the cluster so far."""
-        return sum(str(key).startswith("_run") and state == "memory" for key, _, state, *_ in log)
+        return sum(str(key).startswith("_run") and state == "memory" for key, _, state, *_ in list(log))
 
     assert cluster.scheduler is not None  # it has started
     log = cluster.scheduler.transition_log
@@ -193,11 +193,12 @@ def test_a_service_has_its_fits_made_on_the_cluster_and_stores_what_it_would_hav
 
 @pytest.mark.slow
 def test_a_cluster_that_is_gone_or_cannot_work_is_told_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(api_cluster, "PATIENCE", 2.0)
     with LocalCluster(n_workers=0, threads_per_worker=2, dashboard_address=":0", protocol="tcp://") as started:
         address = started.scheduler_address
-        with pytest.raises(ClusterError, match=f"{address} has no worker; start"), connected(address):
-            pass
+        with monkeypatch.context() as patch:
+            patch.setattr(api_cluster, "PATIENCE", 2.0)
+            with pytest.raises(ClusterError, match=f"{address} has no worker; start"), connected(address):
+                pass
         started.scale(1)
         started.wait_for_workers(1, timeout=60)
         with pytest.raises(ClusterError, match="2 tasks at once in one process; start it with --nthreads 1"):

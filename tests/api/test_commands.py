@@ -2,7 +2,10 @@
 
 import hashlib
 import json
+import os
 import sqlite3
+import subprocess
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from analysis.fits.fit_json import fit_from_json
 from api.preflight import preflight
 from goniometer.campaigns.campaign_file import load_campaign
 from goniometer.storage.store import Store
+from tests.api.conftest import COMMAND
 
 Small = tuple[Path, dict[str, Any]]
 
@@ -26,7 +30,7 @@ def test_a_run_leaves_fits_a_rendering_file_and_a_report_for_every_sample(small:
         assert any(name.endswith(".bsdf") for name in names)
         assert all((folder / path).stat().st_size > 1000 for path in sample["files"])
         assert sample["points"] < sample["uniform_1_degree_points"]
-    with sqlite3.connect(folder / "goniometer.db") as database:
+    with closing(sqlite3.connect(folder / "goniometer.db")) as database, database:
         for path, digest in database.execute("SELECT path, sha256 FROM exports"):
             assert hashlib.sha256((folder / path).read_bytes()).hexdigest() == digest
 
@@ -49,7 +53,7 @@ def test_blocked_directions_are_absent_from_every_export(small: Small) -> None:
 
 
 def test_raw_counts_are_kept_and_cannot_be_changed(small: Small) -> None:
-    with sqlite3.connect(small[0] / "goniometer.db") as database:
+    with closing(sqlite3.connect(small[0] / "goniometer.db")) as database, database:
         (lights,) = database.execute("SELECT count(*) FROM exposures WHERE kind = 'light'").fetchone()
         assert lights >= sum(s["points"] for s in small[1]["samples"])
         with pytest.raises(sqlite3.DatabaseError, match="only ever added"):
@@ -106,7 +110,7 @@ def test_any_model_can_be_fitted_in_any_way_and_then_stands_in_the_report(
     together = "minimised with the chi-square of the local slopes"
     assert fitted["metrics"]["cost"]["name"] == f"loew, terms weighted by sin(theta_in), {together}"
     assert fitted["comparison"]["simpler_model"] == "cook-torrance-shift"
-    with sqlite3.connect(folder / "goniometer.db") as database:
+    with closing(sqlite3.connect(folder / "goniometer.db")) as database, database:
         ((text,),) = database.execute("SELECT json FROM fits WHERE model = 'two-component'")
     stored = fit_from_json(text)
     assert {p.name: p.value for p in stored.parameters} == {p["name"]: p["value"] for p in fitted["parameters"]}
@@ -130,11 +134,37 @@ def test_exports_and_reports_can_be_written_at_any_time(cli: Any, small: Small, 
         (["export", "sample 1", "--to", "mitsuba"], b"tensor_file\0"),
         (["report", "sample 1"], b"<!doctype html>"),
     ):
-        target = tmp_path / "out"
+        target = tmp_path / "-".join(arguments)
         done = cli(*arguments, "--output", target, "--json", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert target.read_bytes().startswith(start)
         assert json.loads(done.stdout)["sha256"] == hashlib.sha256(target.read_bytes()).hexdigest()
+
+
+def test_a_material_of_a_fit_that_is_not_to_be_trusted_says_so(cli: Any, small: Small, tmp_path: Path) -> None:
+    for to in ("mitsuba", "mitsuba-plugin"):
+        for sample, trusted in (("Sample 1", True), ("Mirror", False)):
+            export = "export", sample, "--to", to, "-o", tmp_path / f"{sample} {to}.xml"
+            assert ("is not to be trusted: The lobe is" in cli(*export, cwd=small[0]).stdout) is not trusted
+            assert json.loads(cli(*export, "--json", cwd=small[0]).stdout)["trusted"] is trusted
+
+
+def test_what_a_terminal_cannot_show_is_escaped_and_a_closed_one_is_no_fault(small: Small) -> None:
+    def run(*command: str) -> subprocess.CompletedProcess[bytes]:
+        latin = os.environ | {"PYTHONIOENCODING": "latin-1"}
+        return subprocess.run(command, cwd=small[0], env=latin, capture_output=True, check=True)
+
+    assert b"\\u03b8 in" in run(COMMAND, "budget", "1").stdout
+    told = json.loads(run(COMMAND, "plan", "small.yaml", "--json").stdout)
+    assert told["blocked"] == {"20.0": [-25.0, -15.0], "60.0": [-65.0, -55.0]}
+    assert run("sh", "-c", f"{COMMAND} status >&-").stderr == b""
+
+
+def test_a_name_that_keeps_nothing_is_no_database(cli: Any, tmp_path: Path) -> None:
+    for name in ("", ":memory:", "sqlite://"):
+        done = cli("token", "create", "lost", "--database", name, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert "is not the name of a database; give a file" in done.stderr
 
 
 def test_an_unknown_dataset_is_refused_with_the_known_ones(cli: Any, small: Small) -> None:
@@ -152,6 +182,13 @@ def test_the_preview_names_points_travel_and_blocked_range(cli: Any, small: Smal
         time, scans = leg["time"], 2 if leg["name"] == "reference panel" else 1
         assert time["low"] < time["seconds"] < time["high"]
         assert time["high"] > scans * 30.0 * leg["points"]
+
+
+def test_a_plan_is_drawn_into_nothing_that_is_called_another_kind_of_picture(cli: Any, small: Small) -> None:
+    done = cli("plan", "small.yaml", "-o", "plan.png", cwd=small[0])
+    assert done.returncode == 2
+    assert "end its name in .svg" in done.stderr
+    assert not (small[0] / "plan.png").exists()
 
 
 def test_the_preview_tells_the_time_of_the_bench_that_the_file_states(cli: Any, small: Small, tmp_path: Path) -> None:
@@ -187,5 +224,5 @@ def test_a_sample_that_cannot_be_fitted_does_not_cost_the_others_their_fits(cli:
         assert empty["files"] == []
         assert empty["points"] >= 5
         assert "cook-torrance-shift" in mirror["parameters"]
-    with sqlite3.connect(tmp_path / "goniometer.db") as database:
+    with closing(sqlite3.connect(tmp_path / "goniometer.db")) as database, database:
         assert database.execute("SELECT count(*) FROM fits WHERE model = 'analysis'").fetchone() == (1,)

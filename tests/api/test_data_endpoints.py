@@ -149,6 +149,15 @@ def test_what_a_file_does_not_say_is_asked_for_by_the_name_of_its_field(service:
     refused = client.post("/api/datasets/1/exports", {"format": "csv", "options": {"creators": ["A, B"]}})
     assert refused.status_code == 422, refused.text
     assert "no option creators" in refused.json()["detail"]
+    for options, told in (
+        ({}, "A package needs terms; state license"),
+        ({"license": "CC-BY-4.0"}, "A package needs terms; state license"),
+        ({"license": "mine", "creators": ["A, B"]}, '"mine" is no licence'),
+        ({"license": "CC-BY-4.0", "creators": [" , "]}, 'A creator has no name; write creators "Family'),
+    ):
+        refused = client.post("/api/datasets/1/exports", {"format": "package", "options": options})
+        assert refused.status_code == 422, refused.text
+        assert refused.json()["detail"].startswith(told)
 
 
 def test_a_metal_or_a_scene_that_cannot_be_is_a_fault_of_what_was_sent(service: Service) -> None:

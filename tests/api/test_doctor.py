@@ -35,10 +35,11 @@ def laboratory() -> Iterator[Laboratory]:
         yield found
 
 
-def bench_of(laboratory: Laboratory) -> Bench:
-    """The drivers for a simulated laboratory, with short waits."""
+def bench_of(laboratory: Laboratory, timeout: float = 1.0) -> Bench:
+    """The drivers for a simulated laboratory, which wait so many real seconds for a reply."""
     settings = simulated_settings(laboratory)
-    stages = {role: {**getattr(settings.stages, role).model_dump(), "timeout": 0.1} for role in ("sample", "detector")}
+    roles = ("sample", "detector")
+    stages = {role: {**getattr(settings.stages, role).model_dump(), "timeout": timeout} for role in roles}
     settings = type(settings).model_validate({**settings.model_dump(), "stages": stages})
     return make_bench(settings, laboratory.clock, laboratory.usb_backend)
 
@@ -129,7 +130,7 @@ def test_a_stage_that_restarts_after_homing_lets_no_scan_start(laboratory: Labor
 @pytest.mark.parametrize("who", ["sample_stage", "detector_stage", "spectrometer"])
 def test_a_bad_line_is_survived_or_reported_and_never_ends_the_doctor(laboratory: Laboratory, who: str) -> None:
     getattr(laboratory, who).script = FaultScript.parse("from 5 every 9 lose-reply\nfrom 7 every 11 corrupt")
-    findings = found(bench_of(laboratory))
+    findings = found(bench_of(laboratory, timeout=0.1))
     name = who.replace("_", " ")
     assert set(faulty(findings)) <= {name, "light" if who == "spectrometer" else name}
     assert not laboratory.spectrometer.shutter_open
@@ -234,7 +235,7 @@ def test_a_shutter_that_answers_the_wrong_way_round_is_found(laboratory: Laborat
 
     bench = bench_of(laboratory)
     asyncio.run(look_at_a_panel(bench, laboratory))
-    findings = found(replace(bench, light=Inverted(bench.spectrometer)))  # type: ignore[arg-type]
+    findings = found(replace(bench, light=Inverted(bench.spectrometer)))
     assert faulty(findings) == ["light"]
     assert "polarity" in findings["light"].line()
 
@@ -330,7 +331,7 @@ def test_the_doctor_ends_in_the_safe_state_when_it_is_interrupted(laboratory: La
                     exposing.set()
                     await asyncio.sleep(60)
 
-        watched = replace(bench, light=Watched(bench.spectrometer))  # type: ignore[arg-type]
+        watched = replace(bench, light=Watched(bench.spectrometer))
         task = asyncio.ensure_future(visit(watched))
         await asyncio.wait_for(exposing.wait(), 30)
         assert laboratory.spectrometer.shutter_open

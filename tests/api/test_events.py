@@ -9,7 +9,8 @@ import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, get_args
 
@@ -56,7 +57,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Heard]:
         while (entry := service.entry(number))["outcome"] is None:
             if entry["prompt"] is not None:
                 service.client.post(f"/api/queue/{number}/mounted")
-            wait_for(lambda before=entry: service.entry(number) != before)
+            wait_for(partial(lambda before: service.entry(number) != before, entry))
         assert entry["outcome"] == "completed", entry["reason"]
         with Client(service.url, token) as client:
             client.wait(client(calls.export(1, ExportAsked(format="json"))))
@@ -72,7 +73,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Heard]:
             lost, listening = client.events("unknown"), client.events(first)
             events = [next(lost), *islice(listening, int(count))]
             for stream in (lost, listening):
-                stream.close()  # type: ignore[attr-defined]
+                stream.close()
         document = service.client.get("/api/openapi.json").json()
         measured = sum(len(service.live.store.points(scan.id)) for scan in service.live.store.scans())
         yield Heard(lines, events, document, measured)
@@ -85,6 +86,17 @@ def test_every_event_of_a_campaign_has_the_shape_that_the_service_documents(hear
         where = f"#/components/schemas/EventData/properties/{line.event}"
         schema = {"$ref": where, "components": heard.document["components"]}
         Draft202012Validator(schema).validate(json.loads(line.data))
+
+
+@pytest.mark.slow
+def test_who_listens_is_told_that_the_bench_is_gone_and_that_it_is_back(heard: Heard) -> None:
+    driven = [event.data.driver is not None for event in heard.events if isinstance(event.data, BenchState)]
+    assert [there for there, _ in groupby(driven)][-3:] == [True, False, True]
+    alarms = [
+        [alarm.text for alarm in event.data.alarms] for event in heard.events if isinstance(event.data, BenchState)
+    ]
+    told = "The process that drives the bench has ended (code -9) and is started anew; see the log"
+    assert [texts for texts, _ in groupby(alarms)][-2:] == [[], [told]], "it stays until somebody has used the bench"
 
 
 @pytest.mark.slow
@@ -114,7 +126,7 @@ def test_a_script_hears_on_when_nothing_has_happened_for_a_while(
             later = threading.Timer(1.0, service.live.events.publish, ("queue", EntryChanged(entry=7)))
             later.start()
             told = next(event for event in listening if event.kind == "queue" and event.data != QueueChanged())
-            listening.close()  # type: ignore[attr-defined]
+            listening.close()
         assert told.data == EntryChanged(entry=7)
 
 
@@ -135,20 +147,21 @@ def test_a_service_that_could_not_hear_its_bench_lets_everybody_read_anew_what_i
     link = Link(task, store, events)
 
     def hear() -> None:
-        while here.poll(1.0):
+        while not worker.outbox.empty() or here.poll(1.0):
             link._hear(here.recv())
 
-    async def listen() -> list[tuple[str, str]]:
+    async def listen() -> list[tuple[EventKind, str]]:
         events.attach(asyncio.get_running_loop())
         stream = events.subscribe()
         await anext(stream)
         worker.tell_state()
         point = PointDone(scan=1, theta_in=30.0, theta_out=-10.0, done=1, failed=0, expected=9)
-        while not worker.unheard:  # what the pipe holds, and what waits behind it
+        while not worker.unheard:  # what waits before the pipe
             worker.say(Told("point", point))
         worker.bench.alarm = Alarm(text="The lamp is out.", since="2026-01-01T00:00:00+00:00")
         await worker._look_once()
-        assert worker.outbox.qsize() >= UNHEARD, "nothing more waits than before"
+        assert worker.outbox.qsize() == UNHEARD, "nothing more waits than before"
+        threading.Thread(target=worker._send, daemon=True).start()
         await asyncio.to_thread(hear)
         assert (link.state.alarms, worker.state().alarms) == ((), (worker.bench.alarm,))
         await anext(stream)
@@ -159,7 +172,6 @@ def test_a_service_that_could_not_hear_its_bench_lets_everybody_read_anew_what_i
         assert not here.poll(1.0), "it is told once"
         return told
 
-    threading.Thread(target=worker._send, daemon=True).start()
     told = asyncio.run(listen())
     assert [kind for kind, _ in told] == ["state", "reset"]
     assert BenchState.model_validate_json(told[0][1]) == worker.state() == link.state

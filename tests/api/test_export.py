@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import json
+import os
 import shutil
 import subprocess
 import zipfile
@@ -22,6 +23,7 @@ from api.choices import WRITTEN
 from api.commands.main import app
 from api.exports.formats import FORMATS, Options, export_dataset
 from api.exports.texts import Published
+from api.written import write_text
 from goniometer.errors import InputError
 from goniometer.storage.store import Store
 from tests.bird_schemas import validator
@@ -70,6 +72,40 @@ def test_a_measurement_is_itself_again_in_the_database_of_another_laboratory(
         invoke("export", 1, "--to", "hdf5", "--raw", "-d", other)
     with pytest.raises(InputError, match="leave out --sample, --aperture"):
         invoke("import", file, "--sample", "mine", "--aperture", 1, "-d", other)
+
+
+def test_an_export_replaces_what_it_wrote_before_and_nothing_else(
+    folder: Path, store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = export_dataset(store, 1, "csv", None)
+    assert export_dataset(store, 1, "csv", None) == first
+    fits = export_dataset(store, 1, "json", None)
+    kept = fits.path.read_bytes()
+    with pytest.raises(InputError, match="is there already, and is not the paper that was written there of dataset 1"):
+        export_dataset(store, 1, "paper", None)
+    assert fits.path.read_bytes() == kept
+    with first.path.open("a") as somebody:
+        somebody.write("# read again on Monday\n")
+    with pytest.raises(InputError, match="move it away"):
+        export_dataset(store, 1, "csv", None)
+    assert first.path.read_text().endswith("on Monday\n")
+    Path("campaign.yaml").write_text("name: Mine\n")
+    with pytest.raises(InputError, match="is not the report"):
+        invoke("report", 1, "-o", "campaign.yaml", "-d", folder / "measured.db")
+
+
+def test_nothing_is_written_over_a_database_a_device_or_a_pipe(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "measured.db", tmp_path / "mine.db")
+    before = (tmp_path / "mine.db").read_bytes()
+    with pytest.raises(InputError, match=r"mine\.db is a database, which nothing replaces"):
+        write_text("csv", tmp_path / "mine.db", "")
+    assert (tmp_path / "mine.db").read_bytes() == before
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path(os.devnull)):
+        with pytest.raises(InputError, match="is no file"):
+            write_text("csv", path, "")
+        assert not path.is_file()
 
 
 def test_raw_exposures_in_hdf5_are_those_of_the_database(store: Store, tmp_path: Path) -> None:

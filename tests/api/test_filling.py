@@ -1,5 +1,6 @@
 """What lacks in a dataset is filled where it holds nobody up, and nothing of it outlives the service."""
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -11,13 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.figures.filled import STEP
 from api.access.accounts import add_user
 from api.access.tokens import create_token
 from api.errors import Conflict
 from api.views import opened
+from api.web.app import make_app
 from api.web.filling import NAME, fill_apart
 from api.web.live import open_live
 from goniometer.datasets.dataset import Dataset
+from goniometer.datasets.fill import fill, unmeasured
+from goniometer.errors import StoreBusy
 from goniometer.storage.store import Store
 from tests.api.service_client import Client
 from tests.drawn_dataset import drawn_dataset
@@ -53,7 +58,7 @@ def test_a_page_tells_what_lacks_in_a_dataset_and_the_process_that_answers_it_co
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dataset = drawn(3, 9)
-    expected = opened.fill(dataset, *opened.unmeasured(dataset, opened.STEP))
+    expected = fill(dataset, *unmeasured(dataset, STEP))
 
     def refuse(*_: object) -> None:
         raise AssertionError("it fills in the process of the service")
@@ -67,6 +72,25 @@ def test_a_page_tells_what_lacks_in_a_dataset_and_the_process_that_answers_it_co
         answer = client.get(f"/api/datasets/{number}/map")
     assert answer.status_code == 200, answer.text
     assert 0 < len(answer.json()["filled"]) == int(expected.tells.sum())
+
+
+def test_a_service_that_cannot_read_its_database_does_not_start_and_leaves_no_bench_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> int:
+        wait_for(lambda: live.worker.lives)
+        raise StoreBusy("bench.db is locked by another program")
+
+    async def start() -> None:
+        async with app.router.lifespan_context(app):
+            pass
+
+    with open_live(tmp_path / "bench.db", tmp_path) as live:
+        app = make_app(live)
+        monkeypatch.setattr(live.store, "newest_dataset", refuse)
+        with pytest.raises(StoreBusy):
+            asyncio.run(start())
+        assert all(each.name != "goniometer bench" for each in active_children())
 
 
 def test_a_service_that_ends_does_not_wait_for_what_is_being_filled(tmp_path: Path) -> None:

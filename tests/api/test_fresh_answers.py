@@ -12,8 +12,9 @@ from starlette.requests import Request
 
 from api.access import callers
 from api.access.accounts import add_user, set_disabled
-from api.access.tokens import create_token, revoke_token
+from api.access.tokens import Caller, create_token, revoke_token
 from api.bench import queue
+from api.errors import Unauthorised
 from api.web.answers import Answers
 from api.web.live import Live, open_live
 from goniometer.campaigns.campaign import Campaign
@@ -126,7 +127,7 @@ def test_a_change_while_it_is_asked_who_somebody_is_is_not_forgotten(live: Live)
     token, made = create_token(live.store, "root", "for a while")
 
     class Slow(callers.Callers):
-        async def anew(self, shown: callers.Shown) -> callers.Caller | None:
+        async def anew(self, shown: callers.Shown) -> Caller | None:
             found = await super().anew(shown)
             revoke_token(live.store, made.id)  # by another request, between the answer of the database and ours
             self.forget()
@@ -135,7 +136,7 @@ def test_a_change_while_it_is_asked_who_somebody_is_is_not_forgotten(live: Live)
     async def ask() -> None:
         known = Slow(live.store)
         assert await known.of(("token", token)) is not None
-        with pytest.raises(callers.Unauthorised):
+        with pytest.raises(Unauthorised):
             await known.of(("token", token))
 
     asyncio.run(ask())

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import sqlite3
 from collections.abc import AsyncIterator, Iterator
 from functools import partial
@@ -20,6 +21,7 @@ from api.web import events
 from api.web.access import Access, check_listen
 from api.web.live import Live, open_live
 from goniometer.errors import ConfigurationError
+from tests.api.conftest import Cli
 from tests.api.service_client import Client
 
 PASSWORD = "correct horse battery staple"
@@ -339,12 +341,20 @@ def test_who_is_kept_out_hears_no_more_of_what_happens(live: Live, monkeypatch: 
         transport = httpx.ASGITransport(Client(live).app)
         headers = {"Authorization": f"Bearer {token}"}
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost", headers=headers) as client:
+            began, since = asyncio.Event(), live.events._since
+
+            def noted(seen: int) -> Any:
+                began.set()
+                return since(seen)
+
+            monkeypatch.setattr(live.events, "_since", noted)
             hearing = asyncio.create_task(client.get("/api/events"))
+            await began.wait()
             for kind in ("progress", "alarm"):
-                await asyncio.sleep(0.5)
                 if kind == "alarm":
+                    await asyncio.sleep(2.0)
                     revoke_token(live.store, made.id)
-                live.events.publish(kind, "{}")  # type: ignore[arg-type]
+                live.events.publish(kind, "{}")
             return (await asyncio.wait_for(hearing, 30)).text
 
     heard = asyncio.run(listen())
@@ -364,15 +374,30 @@ def test_a_proxy_on_the_machine_makes_others_come_in(live: Live) -> None:
     assert check_listen("127.0.0.1", live.store, behind_proxy=True) == Access(loopback=False, secure=True)
 
 
+def test_a_port_that_is_taken_is_refused_before_a_token_is_told(tmp_path: Path, cli: Cli) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        done = cli("serve", "--port", taken.getsockname()[1], cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "in use; name another, or end what listens there" in done.stderr
+
+
+def test_no_address_and_no_token_are_told_of_a_service_without_its_certificate(tmp_path: Path, cli: Cli) -> None:
+    (tmp_path / "lab.yaml").write_text("name: no certificate\n")
+    done = cli("serve", "--port", 0, "--tls-cert", "lab.yaml", "--tls-key", "lab.yaml", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--tls-cert lab.yaml --tls-key lab.yaml: " in done.stderr
+    assert not (tmp_path / "goniometer.db").exists()
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.1", "bench.example.org"])
 def test_other_machines_are_let_in_only_where_somebody_can_log_in_unread(live: Live, host: str) -> None:
     first_token(live.store)
     for how in ({"tls": True}, {"behind_proxy": True}):
         with pytest.raises(ConfigurationError, match="goniometer user add"):
-            check_listen(host, live.store, **how)  # type: ignore[arg-type]
+            check_listen(host, live.store, **how)
     add_user(live.store, "anna", "operator", PASSWORD)
     with pytest.raises(ConfigurationError, match="--tls-cert and --tls-key, or --behind-proxy"):
         check_listen(host, live.store)
     for how in ({"tls": True}, {"behind_proxy": True}):
-        access = check_listen(host, live.store, hosts=("Bench.Example.org",), **how)  # type: ignore[arg-type]
+        access = check_listen(host, live.store, hosts=("Bench.Example.org",), **how)
         assert access == SECURE

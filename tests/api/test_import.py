@@ -88,6 +88,19 @@ def test_what_a_file_does_not_say_is_asked_for_by_the_option_that_says_it(file: 
     assert not database.exists()
 
 
+def test_a_file_of_zeros_is_imported_with_checks_that_do_not_know_and_is_refused_by_the_fits(tmp_path: Path) -> None:
+    database, table = tmp_path / "goniometer.db", tmp_path / "black.csv"
+    table.write_text(
+        "theta_in,theta_out,400,500,600,700,800\n" + "".join(f"30,{o},0,0,0,0,0\n" for o in range(5, 80, 5))
+    )
+    units = ("--quantity", "brdf", "--angles", "deg", "--wavelengths", "nm", "--relative-noise", 0.01)
+    told = invoke("import", table, *STATED, *units, "--database", database).stdout
+    assert "no value differs from zero" in told
+    assert "? energy: Not known" in told
+    with pytest.raises(FitError, match="No spectrum of black"):
+        report_dataset(Store.open(database), 1, tmp_path / "report.html")
+
+
 def test_an_export_does_not_write_over_the_file_that_was_imported(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,14 @@ def count(folder: Path, query: str) -> int:
     if not file.exists():
         return 0
     try:
-        with sqlite3.connect(f"file:{file}?mode=ro", uri=True) as database:
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database, database:
             return int(database.execute(query).fetchone()[0])
     except sqlite3.OperationalError:
         return 0
+
+
+def ended(process: subprocess.Popen[str]) -> bool:
+    return process.poll() is not None
 
 
 DONE = "SELECT count(*) FROM points WHERE status = 'done'"
@@ -85,12 +90,13 @@ def test_killed_anywhere_a_run_continues_and_ends_with_the_same_numbers(
     moments = sorted(random.Random(20).sample(range(2, total), 5))
     for moment in moments:
         with running(folder) as process:
-            wait_for(lambda moment=moment: count(folder, DONE) >= moment)
+            wait_for(partial(lambda points, run: count(folder, DONE) >= points or ended(run), moment, process))
             process.send_signal(signal.SIGKILL)
             process.wait()
-    while count(folder, IN_FLIGHT) == 0:  # a killed process leaves its point as running
+    # a killed process leaves its point as running, unless it was so late that none is left
+    while count(folder, IN_FLIGHT) == 0 and count(folder, DONE) < total:
         with running(folder) as process:
-            wait_for(lambda: count(folder, IN_FLIGHT) == 1)
+            wait_for(partial(lambda run: count(folder, IN_FLIGHT) == 1 or ended(run), process))
             process.send_signal(signal.SIGKILL)
             process.wait()
     with running(folder) as process:  # once more, when everything is measured and the fits are under way
@@ -124,14 +130,14 @@ PAUSED = "SELECT count(*) FROM scans WHERE phase = 'paused'"
 def test_pause_resume_and_abort_reach_a_run_in_another_process_and_nothing_is_lost(cli: Any, folder: Path) -> None:
     with running(folder, "long.yaml") as process:
         wait_for(lambda: count(folder, DONE) > 1)
-        assert cli("pause", cwd=folder).returncode == 0
+        wait_for(lambda: cli("pause", cwd=folder).returncode == 0)  # between two scans there is none
         wait_for(lambda: count(folder, PAUSED) == 1)
         paused = count(folder, DONE)
         time.sleep(0.5)
         assert count(folder, DONE) == paused
-        assert cli("resume", cwd=folder).returncode == 0
+        wait_for(lambda: cli("resume", cwd=folder).returncode == 0)
         wait_for(lambda: count(folder, DONE) > paused)
-        assert cli("abort", cwd=folder).returncode == 0
+        wait_for(lambda: cli("abort", cwd=folder).returncode == 0)
         _, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 1
         assert "aborted" in errors

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -50,7 +51,7 @@ def jobs(place: Place, tmp_path: Path) -> Iterator[Jobs]:
 
 def until(store: Store, number: int, wanted: Callable[[Job], object]) -> Job:
     """The job once it is as wanted."""
-    end = time.monotonic() + 120
+    end = time.monotonic() + 400
     while not wanted(found := job(store, number)):
         assert time.monotonic() < end, found
         time.sleep(0.05)
@@ -89,8 +90,27 @@ def test_a_job_ends_with_its_result_or_a_sentence_and_a_cancelled_one_with_all_i
     told = json.loads(job_rows.result_of(store, written.id) or "")
     assert Path(store.export(told["export"]).path).read_text().count("\n") > 1000
     failed = until(store, damaged.id, lambda found: found.finished)
-    assert (failed.state, failed.has_result) == ("failed", False)
+    assert (failed.state, failed.fault, failed.has_result) == ("failed", "not-in-store", False)
     assert "There is no dataset 7" in failed.reason
+    assert {job(store, each.id).fault for each in (long, written)} == {None}
+
+
+def test_programs_tell_a_job_that_was_killed_and_one_that_may_not_write_from_others(
+    place: Place, jobs: Jobs, tmp_path: Path
+) -> None:
+    store, _ = place
+    long = jobs.submit("stability", StabilityArguments(runs=500), "anna")
+    until(store, long.id, lambda found: found.share)
+    for process in multiprocessing.active_children():
+        if process.pid and os.getpgid(process.pid) == process.pid:
+            os.kill(process.pid, signal.SIGKILL)
+    killed = until(store, long.id, lambda found: found.finished)
+    assert (killed.state, killed.fault) == ("failed", "killed")
+    assert "ended from outside" in killed.reason
+    (tmp_path / "results").write_text("a file, where there should be a folder")
+    barred = jobs.submit("export", ExportArguments(dataset=1, format="csv"), "anna")
+    refused = until(store, barred.id, lambda found: found.finished)
+    assert (refused.state, refused.fault) == ("failed", "store-full"), refused.reason
 
 
 def test_a_job_whose_service_died_is_told_so_and_can_be_run_again(place: Place, tmp_path: Path) -> None:
@@ -107,8 +127,9 @@ def test_a_job_whose_service_died_is_told_so_and_can_be_run_again(place: Place, 
         assert (found.state, found.reason) == ("interrupted", INTERRUPTED)
         again = jobs.again(old.id, "berta")
         assert (again.arguments, again.who) == (arguments, "berta")
+        waiting = add_job(store, "export", arguments, "anna", job_rows.runner())
         with pytest.raises(Conflict, match="wait for its end"):
-            jobs.again(again.id, "berta")
+            jobs.again(waiting.id, "berta")
     finally:
         jobs.close()
     ended = job(store, again.id)

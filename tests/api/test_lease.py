@@ -78,7 +78,7 @@ def test_silence_is_measured_by_the_watchers_own_clock(
     stores: tuple[Store, Store], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = 1000.0
-    monkeypatch.setattr(lease.time, "monotonic", lambda: clock)
+    monkeypatch.setattr(time, "monotonic", lambda: clock)
     held = take_lease(stores[0], "a", "http://a", None)
     assert held is not None
     watcher = Watcher()

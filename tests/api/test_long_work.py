@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -134,10 +135,13 @@ def test_the_doctor_is_a_job_that_tells_how_far_it_is_and_can_be_stopped(
     bench: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written, told = rows.tell, set()
+    may_go_on = threading.Event()
+    may_go_on.set()
 
     def seen(database: Database, job_id: int, share: float | None, words: str) -> None:
         written(database, job_id, share, words)
         told.add(bench.client.get(f"/api/jobs/{job_id}").json()["words"])
+        may_go_on.wait(60)
 
     monkeypatch.setattr(rows, "tell", seen)
     with PythonClient(bench.url, bench.client.headers["Authorization"].removeprefix("Bearer ")) as client:
@@ -151,9 +155,11 @@ def test_the_doctor_is_a_job_that_tells_how_far_it_is_and_can_be_stopped(
     assert found["fit"] is True
     assert [each["device"] for each in found["findings"]] == ["sample stage", "detector stage", "spectrometer", "light"]
     assert bench.state()["phase"] == "disconnected"
+    may_go_on.clear()
     again = bench.client.post(f"/api/jobs/{number}/again").json()["id"]
     wait_for(lambda: bench.state()["phase"] == "busy")
     assert bench.client.delete(f"/api/jobs/{again}").json()["state"] == "cancelled"
+    may_go_on.set()
     wait_for(lambda: bench.state()["phase"] == "disconnected")
     assert bench.client.post("/api/instrument/connect").json()["phase"] == "ready"
     assert "disconnect it first" in bench.refused("/api/instrument/doctor", json={})

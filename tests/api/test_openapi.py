@@ -1,5 +1,6 @@
 """Whatever is sent to the service, it answers as its OpenAPI document says, and never with a fault of its own."""
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -40,7 +41,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def document(service: Served) -> Any:
     """The OpenAPI document of the whole application, without what has no end or ends the session of the test."""
-    found = schemathesis.openapi.from_url(f"{service.url}/api/openapi.json")
+    found: Any = schemathesis.openapi.from_url(f"{service.url}/api/openapi.json")
     for path in ("/api/events", "/api/logout", "/api/me/password", "/api/tokens/{token_id}", "/api/login"):
         found = found.exclude(path=path)
     return found
@@ -70,3 +71,18 @@ def test_every_answer_is_one_that_the_document_tells_of(document: Any, service: 
         except (FailureGroup, Failure) as failure:
             wrong.append(f"{operation.method.upper()} {operation.path}: {failure}")
     assert not wrong, "\n\n".join(wrong)
+
+
+def test_a_parameter_that_an_endpoint_does_not_have_is_refused_and_nothing_is_done(service: Served) -> None:
+    paths = service.client.get("/api/openapi.json").json()["paths"]
+    open_to_all = {"/health", "/api/login", "/metrics"}
+    asked = [(path, method) for path in paths.keys() - open_to_all for method in paths[path]]
+    assert len(asked) > 80
+    for path, method in asked:
+        address = re.sub(r"\{\w+\}", "1", path)
+        answer = service.client.request(method.upper(), address, params={"sampel": "x", "mdoel": "y"})
+        assert answer.status_code == 422, (path, method)
+        assert [each["where"] for each in answer.json()["errors"]] == ["mdoel", "sampel"], (path, method)
+    told = service.client.get("/api/datasets", params={"sampel": "x"}).json()["detail"]
+    assert told.startswith("sampel: there is no such parameter; there is after, ")
+    assert "sample" in told

@@ -59,6 +59,11 @@ def test_a_failed_check_an_override_and_points_left_out_are_never_kept_from_the_
     ]
 
 
+def test_only_files_that_lie_in_the_named_folder_are_listed_there() -> None:
+    files = ["/results/disc/report.html", "/results/disc/analysis.json", "/elsewhere/x.json"]
+    assert remarks([replace(GOOD, files=files)])[1:] == ["Disc: /results/disc (analysis.json, report.html)"]
+
+
 def test_what_somebody_tries_afterwards_does_not_take_the_place_of_a_campaigns_result(tmp_path: Path) -> None:
     store = Store.open(tmp_path / "one.db")
     campaign_id = store.add_campaign(Campaign(name="One", samples=(Sample(name="Disc", material="sample-4"),)))

@@ -19,7 +19,7 @@ from api.results.quality import settings_of
 from drivers.interfaces import Spectrum
 from goniometer.campaigns.campaign import Campaign, Integration, Sample
 from goniometer.datasets.dataset import Check, Flag
-from goniometer.errors import CertificateError, GeometryError, InputError, NotInStore
+from goniometer.errors import CertificateError, GeometryError, InputError, NotInStore, OptionError
 from goniometer.geometry import Geometry
 from goniometer.radiometry.response import CORRECTIONS
 from goniometer.storage.lineage import own_datasets
@@ -228,6 +228,14 @@ def test_an_expired_certificate_needs_a_name_and_a_reason_which_stay(measured: P
     shown = invoke("check", found["dataset"], "--database", measured).stdout
     assert "N. N." in shown
     assert "panel is new" in shown
+
+
+def test_an_override_of_a_certificate_that_was_valid_is_refused_and_makes_no_dataset(measured: Path) -> None:
+    before = Store.open(measured).datasets()
+    told = r"--override-name and --override-reason have no use for scan 2: the certificate .* was valid on the day"
+    with pytest.raises(OptionError, match=told):
+        invoke("calibrate", 1, "--override-name", "N. N.", "--override-reason", "no need", "--database", measured)
+    assert Store.open(measured).datasets() == before
 
 
 def test_a_correction_that_is_left_out_changes_the_numbers_and_is_recorded(measured: Path) -> None:

@@ -44,3 +44,10 @@ def test_an_exported_scene_renders_with_the_plugin_beside_it(cli: Any, small: Sm
     command = [sys.executable, "-I", "ggx_shift.py", "scene.xml", "image.exr"]
     subprocess.run(command, cwd=tmp_path, check=True)
     assert (tmp_path / "image.exr").stat().st_size > 0
+    again = "export", "Sample 1", "--to", "mitsuba-plugin", "--output", tmp_path / "other.xml"
+    assert cli(*again, cwd=small[0]).returncode == 0
+    (tmp_path / "ggx_shift.py").write_text("# mine\n", encoding="utf-8")
+    refused = cli(*again, cwd=small[0])
+    assert refused.returncode == 2
+    assert "ggx_shift.py is there already" in refused.stderr
+    assert (tmp_path / "ggx_shift.py").read_text(encoding="utf-8") == "# mine\n"

@@ -15,6 +15,7 @@ from api.display import progress_display
 from api.preview import preview
 from api.results.outcome import outcomes
 from api.service import QUIET, open_bench, run
+from api.written import make_folder, slug, write_text
 from goniometer.campaigns.campaign import Campaign, Integration, OutgoingRange, Reference, Resolution, Sample
 from goniometer.campaigns.conditions import Conditions
 from goniometer.certificates.certificate_file import certificate_csv
@@ -141,6 +142,24 @@ def test_two_scans_do_not_share_a_folder(tmp_path: Path) -> None:
     store.close()
 
 
+def test_a_long_name_makes_a_folder_and_two_that_begin_alike_do_not_share_it(tmp_path: Path) -> None:
+    long = "Ж" * 196
+    names = [f"{long} #1", f"{long} #2", "ab " * 66, "名" * 200, f"{'a' * 79}-б"]
+    for name in names:
+        make_folder(tmp_path / slug(name))
+        write_text("report", tmp_path / slug(name) / f"{slug(name)}.html", "text")
+        assert len(slug(name).encode()) <= 80
+        assert not slug(name).endswith("-")
+    assert len(list(tmp_path.iterdir())) == len(names)
+    assert slug("Ж" * 40) == "ж" * 40
+    assert slug("Ж" * 41) == "ж" * 40
+    samples = tuple(Sample(name=long + end, material="sample-1") for end in ("a", "b"))
+    store = Store.open(tmp_path / "bench.db")
+    with pytest.raises(CampaignError, match="would both be kept"):
+        asyncio.run(run(store, CAMPAIGN.model_copy(update={"samples": samples}), tmp_path))
+    store.close()
+
+
 def test_the_preview_counts_repeats_waits_and_conditions() -> None:
     plain = preview(CAMPAIGN)
     waiting = (CAMPAIGN.samples[0].model_copy(update={"wait": 600.0}), CAMPAIGN.samples[1])
@@ -171,12 +190,13 @@ def test_the_preview_of_an_even_grid_says_what_budgets_cut_off_and_speaks_of_no_
 
 
 def test_an_operator_sees_what_a_run_waits_for() -> None:
-    console = Console(file=io.StringIO(), width=200)
+    lines = io.StringIO()
+    console = Console(file=lines, width=200)
     with progress_display(console) as (show, _):
         for left in (600.0, 590.0):
             waiting = Waiting("as the campaign asks", left)
             show(Progress(2, "Rough #1", "sample", "running", None, 0, 0, 20, 0.0, NOTHING, 0.0, None, None, waiting))
-    assert console.file.getvalue() == (  # type: ignore[attr-defined]
+    assert lines.getvalue() == (
         "Rough #1: 0 of about 20 points, 0 %, waiting: as the campaign asks, 10 min 00 s left on the bench\n"
     )
 

@@ -24,15 +24,15 @@ CAMPAIGN = """
 name: First day
 samples:
   - {name: Sample 1, material: sample-1}
-incident: [30, 60]
+incident: [15, 30, 45, 60]
 outgoing: {start: -40, stop: 60}
-resolution: {mode: uniform, step: 10}
+resolution: {mode: uniform, step: 1}
 reference: {step: 20, scans: 1}
 stray_light: false
 monitor: null
 """
-POINTS = 20
-"""Of the sample at least: there is time to pause it."""
+POINTS = 360
+"""Of the sample at least: there is time to pause it, and to see it measured afterwards."""
 
 
 @contextmanager

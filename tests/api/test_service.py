@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +42,22 @@ def running(service: Served) -> Iterator[int]:
     number = service.ordered(LONG)
     wait_for(lambda: service.entry(number)["points_done"] > 3)
     yield number
-    service.client.post(f"/api/queue/{number}/abort")
+    if service.entry(number)["phase"] not in {"finished", "idle"}:
+        asked(service, number, "abort")
     wait_for(lambda: service.entry(number)["phase"] in {"finished", "idle"})
     service.client.delete(f"/api/queue/{number}")
 
 
+def asked(service: Served, number: int, command: str) -> dict[str, Any]:
+    """The entry once it is asked to pause, go on or abort: between two scans of a campaign nothing can be asked."""
+    answer = wait_for(lambda: (now := service.client.post(f"/api/queue/{number}/{command}")).is_success and now)
+    entry: dict[str, Any] = answer.json()
+    return entry
+
+
 def exposures(file: Path) -> list[tuple[Any, ...]]:
     """All raw spectra of points, with where they were taken."""
-    with sqlite3.connect(file) as database:
+    with closing(sqlite3.connect(file)) as database, database:
         return database.execute(
             "SELECT points.scan_id, number, integration_time, counts "
             "FROM exposures JOIN points ON points.id = point_id "
@@ -57,9 +65,13 @@ def exposures(file: Path) -> list[tuple[Any, ...]]:
         ).fetchall()
 
 
+FINE = TINY | {"resolution": {"mode": "uniform", "step": 1}}
+"""One whose sample takes seconds."""
+
+
 def uninterrupted(file: Path) -> None:
-    """Measure the tiny campaign without a service, from end to end."""
-    campaign = Campaign.model_validate(TINY)
+    """Measure the fine campaign without a service, from end to end."""
+    campaign = Campaign.model_validate(FINE)
     store = Store.open(file)
 
     async def measure() -> None:
@@ -90,12 +102,12 @@ def test_a_campaign_ends_in_a_dataset_with_every_count_as_it_should_be_although_
     tmp_path: Path,
 ) -> None:
     with served(tmp_path) as service:
-        number = service.ordered(TINY)
-        asked = []
+        number = service.ordered(FINE)
+        mounted = []
         killed = False
         while (entry := service.entry(number))["phase"] != "finished":
             if entry["prompt"]:
-                asked.append(entry["prompt"]["request"])
+                mounted.append(entry["prompt"]["request"])
                 service.client.post(f"/api/queue/{number}/mounted", json={"scan": entry["prompt"]["scan"]})
             if not killed and entry["points_done"] > 12:
                 killed = True
@@ -105,7 +117,7 @@ def test_a_campaign_ends_in_a_dataset_with_every_count_as_it_should_be_although_
                 assert service.client.post(f"/api/queue/{number}/start").status_code == 200
             time.sleep(0.2)
         assert entry["outcome"] == "completed", entry["reason"]
-        assert asked == ["Mount the reference panel (Spectralon)", "Mount Sample 1", "Mount Sample 1"]
+        assert mounted == ["Mount the reference panel (Spectralon)", "Mount Sample 1", "Mount Sample 1"]
         scans = service.client.get("/api/scans").json()["items"]
         assert [len(scan["datasets"]) for scan in scans] == [0, 1]
         newest_is_of_the_dataset(service, tmp_path / "goniometer.db", scans[1])
@@ -116,18 +128,31 @@ def test_a_campaign_ends_in_a_dataset_with_every_count_as_it_should_be_although_
     assert exposures(tmp_path / "goniometer.db") == exposures(tmp_path / "other.db")
 
 
+@pytest.mark.slow
+def test_an_entry_of_a_campaign_that_was_complete_before_leads_to_its_scans_all_the_same(service: Served) -> None:
+
+    def ended() -> dict[str, Any]:
+        number = service.ordered(TINY, name="Twice")
+        wait_for(lambda: service.entry(number)["phase"] == "finished")
+        return service.entry(number)
+
+    first, second = ended(), ended()
+    assert second["outcome"] == "completed", second["reason"]
+    assert second["campaign_id"] == first["campaign_id"] is not None
+    assert second["scans"] == first["scans"] != []
+
+
 def test_a_pause_takes_effect_after_the_point_and_an_abort_keeps_what_is_measured(
     service: Served, running: int
 ) -> None:
-    entry = service.client.post(f"/api/queue/{running}/pause").json()
-    assert entry["phase"] in {"pausing", "paused"}
+    assert asked(service, running, "pause")["phase"] in {"pausing", "paused"}
     paused = wait_for(lambda: (now := service.entry(running))["phase"] == "paused" and now)
-    assert service.state()["shutter"] == "closed"
+    wait_for(lambda: service.state()["shutter"] == "closed")
     time.sleep(0.3)
     assert service.entry(running)["points_done"] == paused["points_done"]
     service.client.post(f"/api/queue/{running}/resume")
     wait_for(lambda: service.entry(running)["points_done"] > paused["points_done"])
-    service.client.post(f"/api/queue/{running}/abort")
+    asked(service, running, "abort")
     ended = wait_for(lambda: (now := service.entry(running))["phase"] == "finished" and now)
     assert ended["outcome"] == "aborted"
     assert ended["points_done"] > paused["points_done"]
@@ -144,7 +169,7 @@ def test_stop_ends_a_campaign_at_once_and_nothing_begins_before_somebody_has_loo
     assert state["phase"] == "ready"
     assert state["shutter"] == "closed"
     assert not any(stage["moving"] for stage in state["stages"])
-    assert service.entry(running)["outcome"] == "aborted"
+    assert wait_for(lambda: service.entry(running)["outcome"]) == "aborted"
     held = service.entry(next_one)
     assert held["phase"] == "idle"
     assert "look at it" in held["reason"]
@@ -161,13 +186,23 @@ def test_what_is_not_possible_now_is_refused_with_the_reason_and_what_is(service
     assert "does not wait for a sample" in service.refused(f"/api/queue/{running}/mounted")
     assert service.client.delete(f"/api/queue/{running}").status_code == 409
     assert "is in the queue" in service.refused("/api/queue", json={"campaign": LONG})
-    service.client.post(f"/api/queue/{running}/abort")
+    asked(service, running, "abort")
     wait_for(lambda: service.entry(running)["phase"] == "finished")
     assert "so it cannot pause; start it first" in service.refused(f"/api/queue/{running}/pause")
     service.client.post("/api/instrument/disconnect")
     assert "connect it first" in service.refused("/api/instrument/jog", **jog)
     assert service.client.post("/api/instrument/stop").status_code == 200, "a stop is always obeyed"
     assert service.client.post("/api/instrument/disconnect").status_code == 200, "it is done already"
+
+
+def test_a_material_that_there_is_not_keeps_a_campaign_out_of_the_queue(service: Served) -> None:
+    before = service.client.get("/api/queue").json()
+    for material, told in (("sample-9", "two-component-1"), ("file:nowhere.npz", "nowhere.npz")):
+        campaign = LONG | {"name": "Night", "samples": [{"name": "A", "material": material}]}
+        answer = service.client.post("/api/queue", json={"campaign": campaign})
+        assert answer.status_code == 422, answer.text
+        assert told in answer.json()["detail"]
+    assert service.client.get("/api/queue").json() == before
 
 
 def test_an_operator_sees_where_the_arm_went_and_what_it_saw(service: Served) -> None:
@@ -200,7 +235,7 @@ def test_a_stop_reaches_a_bench_that_another_service_drives_and_the_other_takes_
             assert second.entry(number)["phase"] == "running"
             assert second.client.post("/api/instrument/stop").status_code == 200
             wait_for(lambda: second.entry(number)["phase"] == "finished")
-            assert first.state()["shutter"] == "closed"
+            wait_for(lambda: first.state()["shutter"] == "closed")
             first.live.worker.close()
             wait_for(lambda: (second.state()["driver"] or {}).get("here"))
 
@@ -240,10 +275,9 @@ def test_a_service_that_is_told_to_end_parks_the_bench_and_the_next_one_goes_on_
         listening.join()
     assert [json.loads(line)["level"] for line in log.splitlines()], "a log is one object a line"
     assert client.headers["Authorization"].removeprefix("Bearer ") not in output + log
-    with sqlite3.connect(folder / "goniometer.db") as database:
-        assert database.execute("SELECT phase, outcome FROM scans WHERE started IS NOT NULL").fetchall() == [
-            ("finished", "aborted")
-        ]
+    with closing(sqlite3.connect(folder / "goniometer.db")) as database, database:
+        begun = database.execute("SELECT phase, outcome FROM scans WHERE started IS NOT NULL ORDER BY id").fetchall()
+        assert begun == [("finished", "completed")] * (len(begun) - 1) + [("finished", "aborted")]
         assert database.execute("SELECT count(*) FROM points WHERE status = 'running'").fetchone() == (0,)
         assert database.execute("SELECT holder FROM lease").fetchone() == (None,)
     with command(folder, client.headers["Authorization"]) as (_, client):

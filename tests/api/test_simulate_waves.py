@@ -85,4 +85,5 @@ def test_a_simulation_is_fitted_and_shown_like_a_measurement(tmp_path: Path) -> 
 def test_what_cannot_be_simulated_is_refused_with_a_sentence(arguments: tuple[str, ...], said: str) -> None:
     with pytest.raises((InputError, AnalysisError), match=said) as refused:
         invoke("gaussian:0.5:5", *arguments)
+    assert isinstance(refused.value, InputError | AnalysisError)
     assert refused.value.exit_code == 2

@@ -192,7 +192,10 @@ def test_a_campaign_that_asks_a_table_for_more_than_it_knows_is_refused_before_a
     with pytest.raises(InputError, match=r"lob\.npz: the material cannot be read"):
         invoke("run", folder / "wrong.yaml", "-d", folder / "wide.db")
     assert Store.open(folder / "wide.db").campaigns() == {}
-    assert "theta_in" in invoke("plan", folder / "wrong.yaml").stdout  # which needs no material
+    planned = invoke("plan", folder / "wrong.yaml")  # which needs no material, and says that there is none
+    assert planned.exit_code == 2
+    assert "theta_in" in planned.stdout
+    assert "lob.npz: the material cannot be read" in planned.stderr
 
 
 def test_a_material_is_written_to_a_file_that_says_what_it_is(database: Path) -> None:

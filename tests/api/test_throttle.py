@@ -1,12 +1,12 @@
 """Guessing passwords leads nowhere, and nobody can keep somebody else out by guessing."""
 
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from api.access import throttle
 from api.access.throttle import count_try, forgive
 from api.errors import TooManyFailures
 from goniometer.storage.service_tables import logins
@@ -26,7 +26,7 @@ def store(tmp_path: Path) -> Iterator[Store]:
 def wait(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """Let seconds pass."""
     present = [1.8e9]
-    monkeypatch.setattr(throttle.time, "time", lambda: present[0])
+    monkeypatch.setattr(time, "time", lambda: present[0])
 
     def pass_by(seconds: float) -> None:
         present[0] += seconds
@@ -135,7 +135,7 @@ def test_names_that_nobody_has_do_not_stay_in_the_database(store: Store, wait: C
     assert [row.name for row in store.rows(logins.select())] == ["anna"]
 
 
-def test_a_household_of_ipv6_addresses_counts_as_one(store: Store) -> None:
+def test_a_household_of_ipv6_addresses_counts_as_one(store: Store, wait: Clock) -> None:
     for i in range(5):
         count_try(store, "anna", f"2001:db8::{i}")
     assert must_wait(store, "anna", "2001:db8::ffff") > 0.0

@@ -1,12 +1,14 @@
 """Stages with backlash arrive upwards, whatever their family, and moves take as long as the plan thinks."""
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from drivers.interfaces import RotationStage
 from drivers.k10cr1 import K10CR1
 from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
@@ -21,7 +23,7 @@ from goniometer.plans.plan_spec import PlanSpec
 from goniometer.plans.reach import check_plan
 from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
 
-DRIVERS = {
+DRIVERS: dict[str, Callable[..., RotationStage]] = {
     "smc100": SMC100,
     "oriental-az": OrientalAZ,
     "owis": partial(OwisPS, axis=1, counts_per_degree=COUNTS_PER_DEGREE),

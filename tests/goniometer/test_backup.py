@@ -2,6 +2,7 @@
 
 import sqlite3
 import threading
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -30,12 +31,13 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def write(path: Path, pairs: int) -> None:
-    """Add pairs of exposures, each pair in one transaction."""
+def write(path: Path, pairs: int, enough: Callable[[], bool] = lambda: True) -> None:
+    """Add pairs of exposures, each pair in one transaction: so many, and more until it is `enough`."""
     store = Store.open(path)
     scan = store.scans(store.add_campaign(CAMPAIGN))[0].id
-    for _ in range(pairs):
+    while pairs > 0 or not enough():
         store.add_exposures(scan, "dark", PAIR, "one", 0.0)
+        pairs -= 1
     store.close()
 
 
@@ -62,23 +64,27 @@ def spoil(path: Path) -> None:
 def test_a_backup_made_while_a_campaign_writes_holds_whole_transactions_and_what_was_committed_before(
     file: Path, tmp_path: Path
 ) -> None:
-    writer = threading.Thread(target=write, args=(file, 150))
+    found: list[list[tuple[Any, ...]]] = []
+    given_up = threading.Event()
+    writer = threading.Thread(target=write, args=(file, 150, lambda: len(found) > 1 or given_up.is_set()))
     writer.start()
     database = Database.as_it_is(file)
-    found = []
-    for number in range(100):
-        before = len(rows(file))
-        copy = tmp_path / f"copy-{number}.db"
-        back_up(database, copy)
-        kept = rows(copy)
-        assert len(kept) % 2 == 0
-        assert len(kept) >= before
-        found.append(kept)
-        if not writer.is_alive():
-            break
-    writer.join()
+    try:
+        for number in range(100):
+            before = len(rows(file))
+            copy = tmp_path / f"copy-{number}.db"
+            back_up(database, copy)
+            kept = rows(copy)
+            assert len(kept) % 2 == 0
+            assert len(kept) >= before
+            found.append(kept)
+            if not writer.is_alive():
+                break
+    finally:
+        given_up.set()
+        writer.join()
     whole = rows(file)
-    assert len(whole) == 2 + 300
+    assert len(whole) >= 2 + 300
     assert len(found) > 1
     assert all(kept == whole[: len(kept)] for kept in found)
     assert not list(tmp_path.glob("*.part"))
@@ -94,6 +100,19 @@ def test_a_backup_is_one_file_that_replaces_no_other(file: Path, tmp_path: Path)
         back_up(database, copy)
     database.close()
     assert rows(copy) == rows(file)
+
+
+@pytest.mark.parametrize("folder", ["nowhere", "bench.db", "n" * 300])
+def test_a_backup_that_can_be_made_nowhere_names_its_own_file(file: Path, tmp_path: Path, folder: str) -> None:
+    target = tmp_path / folder / "copy.db"
+    before = rows(file)
+    database = Database.as_it_is(file)
+    with pytest.raises(StoreError, match=r"^\S+/copy\.db cannot be made: .+; name a file in a folder") as caught:
+        back_up(database, target)
+    database.close()
+    assert str(caught.value).startswith(str(target))
+    assert [path.name for path in tmp_path.glob("*.part")] == []
+    assert rows(file) == before
 
 
 def test_a_damaged_database_gives_no_backup(file: Path, tmp_path: Path) -> None:

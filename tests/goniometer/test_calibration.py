@@ -1,5 +1,6 @@
 """Calibration is judged against known truth: counts computed forwards from a known BRDF, lamp and noise."""
 
+import re
 from dataclasses import replace
 from datetime import date
 
@@ -8,13 +9,14 @@ import pytest
 from scipy.integrate import quad
 from uncertainties import ufloat, umath
 
+from goniometer.campaigns.campaign import Campaign
 from goniometer.certificates.certificate import NOMINAL_SRS99, Override
 from goniometer.datasets.dataset import Flag
 from goniometer.errors import CalibrationError, CertificateError
 from goniometer.geometry import Geometry
-from goniometer.radiometry.calibration import BANDS, band_values, calibrate, check_certificate, response
+from goniometer.radiometry.calibration import BANDS, band_values, calibrate, check_certificate
 from goniometer.radiometry.raw import sample_visits
-from goniometer.radiometry.response import CORRECTIONS, STANDARD, Settings
+from goniometer.radiometry.response import CORRECTIONS, STANDARD, Settings, response
 from tests.goniometer.forward import (
     CONSTANTS,
     DATA,
@@ -459,8 +461,12 @@ def test_a_reference_without_light_is_refused_instead_of_giving_infinite_values(
     bench = Bench(noisy=False)
     sample = bench.scan(SAMPLE_ANGLES, ROUGH, 10.0)
     reference = bench.scan(REFERENCE_ANGLES, lambda t, o, w, a: 0 * ROUGH(t, o, w, a), 10.0)
-    with pytest.raises(CalibrationError, match="no light"):
+    with pytest.raises(CalibrationError, match="no light") as caught:
         calibrate(sample, reference, NOMINAL_SRS99)
+    keys = re.findall(r"\b([a-z_]+)\.([a-z_]+)\b", str(caught.value))
+    assert len(keys) == 2
+    for section, key in keys:  # what is advised can be written in a campaign file
+        assert key in Campaign.model_json_schema()["$defs"][section.capitalize()]["properties"]
 
 
 def test_missing_darks_and_too_narrow_ranges_are_refused():
@@ -501,7 +507,9 @@ def test_lineage_says_what_a_dataset_was_made_from():
         "dark": "made", "non-linearity": "made", "stray light": "made", "drift": "not measured",
         "wavelength": "made", "footprint": "made", "aperture": "not made",
     }  # fmt: skip
-    assert lineage["parameters"].items() >= {"bin_size": 6, "lowest": 380.0, "highest": 995.0, "gain": GAIN}.items()
+    parameters = lineage["parameters"]
+    assert isinstance(parameters, dict)
+    assert parameters.items() >= {"bin_size": 6, "lowest": 380.0, "highest": 995.0, "gain": GAIN}.items()
 
 
 def test_light_that_is_not_linear_is_what_the_forward_model_makes():

@@ -114,6 +114,15 @@ def test_a_mistake_gets_one_line_with_file_place_and_remedy(tmp_path, text, word
         assert word in message
 
 
+@pytest.mark.parametrize("sample", ["{name: S1, material: sample-1, repeats: -1}", "{name: S1}"])
+def test_one_faulty_sample_is_one_fault(tmp_path, sample):
+    with pytest.raises(CampaignError, match=r", line 3: samples\[0\]\.") as caught:
+        load(tmp_path, f"name: a\nsamples:\n  - {sample}\n")
+    assert "more fault" not in str(caught.value)
+    with pytest.raises(CampaignError, match=r", lines 3 and 4: samples\[0\].*\(and 1 more fault\)"):
+        load(tmp_path, f"name: a\nsamples:\n  - {sample}\nrounds: 0\n")
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(CampaignError, match=r"nowhere\.yaml"):
         load_campaign(tmp_path / "nowhere.yaml")

@@ -288,7 +288,7 @@ def test_a_run_of_returns_tells_how_well_each_stage_repeats(u_angle, monkeypatch
     # on the simulated bench the detector stage errs anew wherever the sample stage stands, which adds half of its error
     for stage, true in ((found.detector, u_angle), (found.sample, u_angle * np.sqrt(1 + 1 / 4))):
         freedom = stage.degrees_of_freedom
-        low, high = chi2.ppf([0.001, 0.999], freedom)
+        low, high = chi2.ppf(np.array([0.001, 0.999]), freedom)
         assert low < freedom * (stage.scatter / true) ** 2 < high
         assert abs(stage.backlash) < 4 * stage.u_backlash
     assert found.u_angle == max(found.detector.scatter, found.sample.scatter)

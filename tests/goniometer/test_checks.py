@@ -26,7 +26,7 @@ NAMES = ["reciprocity", "energy", "values", "drift", "saturation", "homogeneity"
 def asked(dataset: Dataset, name: str, **facts: object) -> Check:
     """What one check of a dataset says."""
     known = {"spot": None, "drift": None, "drift_corrected": False} | facts
-    (found,) = [check for check in checks(dataset, **known) if check.name == name]  # type: ignore[arg-type]
+    (found,) = [check for check in checks(dataset, **known) if check.name == name]
     return found
 
 
@@ -150,6 +150,26 @@ def test_a_reference_that_is_a_fifth_too_dark_gives_more_light_than_there_is() -
     found = asked(drawn_dataset("sample-4", reference_error=0.2), "energy")
     assert found.passed is False
     assert "k = 3" in found.message
+
+
+@pytest.mark.parametrize("value", [0.0, -0.01])
+def test_a_band_that_is_nowhere_above_zero_has_no_energy_and_the_others_are_judged_without_it(value: float) -> None:
+    theta_out = np.arange(-35.0, 86, 10)
+    found, wavelengths = of_values(np.full(13, 40.0), theta_out, np.full(13, 2.0)), np.array([450.0, 550, 650])
+    lit = replace(found, wavelengths=wavelengths)
+    dark = replace(lit, brdf=np.where(wavelengths == 550, value, lit.brdf))
+    black = replace(lit, brdf=np.full_like(lit.brdf, value))
+    whole, judged = energy(lit), energy(dark)
+    assert np.isnan(judged.rho[0]).tolist() == np.isnan(judged.u[0]).tolist() == [False, True, False]
+    assert judged.rho[0, [0, 2]] == pytest.approx(whole.rho[0, [0, 2]], rel=1e-12)
+    (told,) = (check for check in checks_of_imported(dark) if check.name == "energy")
+    assert told.passed is False  # more than the 1 / pi of a white surface
+    assert "2 of 2 combinations" in told.message
+    assert "Not known for 1 of 3" in told.message
+    assert asked(replace(dark, brdf=dark.brdf / 8), "energy").passed
+    assert asked(black, "energy") == Check(
+        "energy", None, "Not known: at no incident angle and in no band of wavelengths is a value above zero."
+    )
 
 
 def test_the_error_of_the_reference_is_in_the_uncertainty_of_the_energy() -> None:

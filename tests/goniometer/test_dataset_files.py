@@ -77,12 +77,16 @@ def test_a_dataset_is_the_same_after_it_was_in_a_file(dataset: Dataset, name: st
     back = reloaded(Path(f"there/a.{name}"), content)
     assert back is not None
     assert the_same(dataset, back)
-    (origin,) = back.lineage["reloaded"]  # type: ignore[misc]
+    origins = back.lineage["reloaded"]
+    assert isinstance(origins, list)
+    (origin,) = origins
     assert (origin["file"], origin["format"].lower()) == (f"a.{name}", name)
     again = reloaded(Path("b"), WRITERS[name](back))
     assert again is not None
     assert the_same(dataset, again)
-    assert [each["file"] for each in again.lineage["reloaded"]] == [f"a.{name}", "b"]  # type: ignore[attr-defined]
+    origins = again.lineage["reloaded"]
+    assert isinstance(origins, list)
+    assert [each["file"] for each in origins] == [f"a.{name}", "b"]
 
 
 @pytest.mark.parametrize(("origin", "kind"), [({"simulated": "rays"}, "simulated"), ({"imported": "x"}, "imported")])

@@ -1,5 +1,6 @@
 """Expected times are judged by sums worked out by hand and by drawing."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -76,7 +77,14 @@ def test_looks_at_the_lamp_stray_light_and_darks_are_counted():
     assert unknown_darks(nothing).high == pytest.approx(DARKS * (sum(4.0 / 2**i for i in range(9)) + 0.008))
 
 
-def stored(seconds, *, attempts=1, session="a", besides=(), start=0):
+def stored(
+    seconds: Sequence[float],
+    *,
+    attempts: int = 1,
+    session: str = "a",
+    besides: Sequence[Sequence[tuple[Geometry | None, float]]] = (),
+    start: int = 0,
+) -> tuple[list[Point], list[ExposureTime]]:
     """Points of `PATH` with one light exposure of 1 s each, and before some of them others: kind by geometry."""
     points, exposures = [], []
     for i, (geometry, taken) in enumerate(zip(PATH[start:], seconds, strict=False), start=start):

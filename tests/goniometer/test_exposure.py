@@ -208,6 +208,7 @@ def test_a_point_that_is_too_dark_keeps_what_the_time_limit_allows_and_says_how_
     kept = [s.integration_time for s in taken.spectra]
     assert 85.0 <= sum(kept) <= 100.0
     said = re.fullmatch(r"reached a signal-to-noise ratio of ([\d.]+) of 500 within 100 s", taken.reason)
+    assert said is not None
     assert float(said[1]) == pytest.approx(expected_ratio(taken, 2.0), rel=0.1)
 
 

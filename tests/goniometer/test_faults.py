@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -279,9 +279,9 @@ def test_a_clock_that_jumps_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         """A day earlier from the twentieth question on."""
 
         @classmethod
-        def now(cls, tz: Any = None) -> datetime:
+        def now(cls, tz: Any = None) -> Self:
             asked.append(tz)
-            return datetime.now(tz) - timedelta(days=1 if len(asked) > 20 else 0)
+            return super().now(tz) - timedelta(days=1 if len(asked) > 20 else 0)
 
     monkeypatch.setattr("goniometer.storage.records.datetime", Jumping)
     assert measured("jumping.db") == undisturbed

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import DeviceDisconnected, DeviceFault, DeviceTimeout, DriverError, ProtocolError
-from drivers.interfaces import StagePhase, StageState
+from drivers.interfaces import RotationStage, StagePhase, StageState
 from drivers.k10cr1 import K10CR1
 from drivers.oriental_az import OrientalAZ
 from drivers.owis import OwisPS
@@ -22,12 +23,13 @@ from goniometer.geometry import Geometry
 from simulators.bench.laboratory import COUNTS_PER_DEGREE, simulated_laboratory
 from simulators.devices.clock import SimulatedClock
 from simulators.devices.faults import Fault, FaultScript, Kind
+from tests.stage_bench import PATIENCE, give_time
 
 TIMEOUT = 0.2
-"""Real seconds that a driver waits for a reply."""
+"""Real seconds that the driver of a stage waits for a reply that does not come, and simulated ones of a QE Pro."""
 STEP = 0.01
 """Simulated seconds between two looks of a clock that does not jump."""
-SLOWLY = 0.02
+SLOWLY = 0.1
 """Real seconds that such a step takes where 100 ms are measured: a busy computer needs some of them itself."""
 FOR_EVER = 10**6
 """More requests than any test makes."""
@@ -59,7 +61,7 @@ def laboratory(monkeypatch, request):
         yield laboratory
 
 
-DRIVERS = {
+DRIVERS: dict[str, Callable[..., RotationStage]] = {
     "smc100": SMC100,
     "oriental-az": OrientalAZ,
     "owis": partial(OwisPS, axis=1, counts_per_degree=COUNTS_PER_DEGREE),
@@ -74,8 +76,8 @@ def make(laboratory, spectrometer=None, **options):
     qepro = QEPro("QE Pro", clock, usb_backend=laboratory.usb_backend, timeout=TIMEOUT)
     driver = DRIVERS[laboratory.families[0]]
     return Instrument(
-        driver("sample stage", laboratory.sample_stage_url, clock, limits=(-5.0, 90.0), timeout=TIMEOUT),
-        driver("detector stage", laboratory.detector_stage_url, clock, limits=(-90.0, 175.0), timeout=TIMEOUT),
+        driver("sample stage", laboratory.sample_stage_url, clock, limits=(-5.0, 90.0), timeout=PATIENCE),
+        driver("detector stage", laboratory.detector_stage_url, clock, limits=(-90.0, 175.0), timeout=PATIENCE),
         spectrometer(qepro) if spectrometer else qepro,
         QEProLight(qepro),
         clock,
@@ -373,6 +375,7 @@ def test_from_every_state_the_stages_are_told_to_stop_within_100_ms_and_the_shut
         clock.pace = SLOWLY
         told = [note_stop(axis, clock) for axis in axes(laboratory)]
         closed = asyncio.create_task(note_closing(laboratory))
+        hurrying = asyncio.create_task(hurry_on(laboratory, told)) if work in {moving, homing} else None
         begun = clock.now()
         if cancelled:
             task.cancel()
@@ -385,6 +388,8 @@ def test_from_every_state_the_stages_are_told_to_stop_within_100_ms_and_the_shut
         assert not any(axis.moving() for axis in axes(laboratory))
         assert not laboratory.spectrometer.shutter_open
         assert laboratory.spectrometer.lamp_on
+        if hurrying is not None:
+            await hurrying
         clock.pace = StrollingClock.pace
         task.cancel()
         with contextlib.suppress(DriverError, asyncio.CancelledError):
@@ -408,6 +413,12 @@ def note_stop(axis, clock):
     return told
 
 
+async def hurry_on(laboratory, told):
+    """Go on at the usual pace once all are told to stop and the shutter is closed: nothing is measured any more."""
+    await until(lambda: all(told) and not laboratory.spectrometer.shutter_open)
+    laboratory.clock.pace = StrollingClock.pace
+
+
 async def note_closing(laboratory):
     """When the shutter is closed."""
     await until(lambda: not laboratory.spectrometer.shutter_open)
@@ -428,6 +439,7 @@ def test_stages_whose_replies_never_come_are_stopped_within_100_ms_while_their_d
         await until(lambda: all(axis.moving() for axis in axes(laboratory)))
         for stage in (laboratory.sample_stage, laboratory.detector_stage):
             stage.script = FaultScript([Fault(Kind.LOSE_REPLY, at=1, times=FOR_EVER)])
+        give_time(TIMEOUT, *instrument.arm.stages)
         await until(lambda: laboratory.sample_stage.script.happened and laboratory.detector_stage.script.happened)
         time_passes = asyncio.create_task(ticking())
         told = [note_stop(axis, clock) for axis in axes(laboratory)]
@@ -442,6 +454,7 @@ def test_stages_whose_replies_never_come_are_stopped_within_100_ms_while_their_d
         time_passes.cancel()
         for stage in (laboratory.sample_stage, laboratory.detector_stage):
             stage.script = FaultScript()
+        give_time(PATIENCE, *instrument.arm.stages)
         await instrument.recover()
         await instrument.arm.goto(Geometry(20.0, 20.0))
 

@@ -12,6 +12,7 @@ from analysis.colour import xyz_weights
 from analysis.reflectance.directions import in_plane
 from analysis.reflectance.fresnel import load_conductor
 from analysis.reflectance.models import cook_torrance
+from drivers.arrays import FloatArray
 from goniometer.datasets.between import interpolate
 from goniometer.datasets.dataset import Dataset, Flag
 from goniometer.errors import CalibrationError
@@ -37,7 +38,7 @@ LOBE = Lobe(1.0, 0.1, 2.0, -3.0, 0.2, (Bump(-2.0, 12.0, 2.0, 3.0),), -2.5, 7.0)
 SCALES = Scales(1.3, 50.0, 35.0, 0.4, 0.7)
 
 
-def directions(count, seed=0):
+def directions(count: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     random = np.random.default_rng(seed)
     theta_in = random.choice(THETA_IN, count)
     theta_out = random.uniform(-80, 80, count)

@@ -18,6 +18,7 @@ from goniometer.storage.store import Store
 from simulators.bench.laboratory import simulated_laboratory
 from simulators.devices.clock import SimulatedClock
 from simulators.devices.faults import FaultScript
+from tests.stage_bench import PATIENCE, give_time
 
 CAMPAIGN = Campaign(
     name="Night",
@@ -65,7 +66,9 @@ async def bench():
             clock,
             data=laboratory.data,
         )
+        give_time(PATIENCE, *instrument.arm.stages)  # nothing befalls what is being opened
         await instrument.open()
+        give_time(TIMEOUT, *instrument.arm.stages)
         try:
             yield laboratory, instrument
         finally:

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,8 +101,10 @@ def test_a_scan_for_a_scene_needs_few_points_and_says_when_it_is_accurate(tmp_pa
         ({"weights": [[0.0] * 10] * 37}, "nothing that can be measured"),
     ],
 )
-def test_a_file_of_weights_that_is_none_is_refused_in_one_line(tmp_path: Path, change: object, says: str) -> None:
-    content = change if isinstance(change, str) else _weights().model_dump() | change  # type: ignore[operator]
+def test_a_file_of_weights_that_is_none_is_refused_in_one_line(
+    tmp_path: Path, change: str | dict[str, Any], says: str
+) -> None:
+    content = change if isinstance(change, str) else _weights().model_dump() | change
     with pytest.raises(CampaignError, match=says) as fault:
         load_campaign(_write(tmp_path, content))
     assert "\n" not in str(fault.value)

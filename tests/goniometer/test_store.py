@@ -7,12 +7,14 @@ import sqlite3
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from filelock import FileLock
 from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import IntegrityError
 
@@ -382,6 +384,19 @@ def test_a_link_to_the_database_does_not_open_a_way_round_the_lock(tmp_path):
     store.close()
 
 
+def test_who_looks_whether_a_database_is_in_use_keeps_no_run_from_beginning(tmp_path, monkeypatch):
+    monkeypatch.setattr("goniometer.storage.database._LOOKED_AT", 10.0)
+    store = Store.open(tmp_path / "bench.db")
+    with store.exclusive():
+        (file,) = tmp_path.glob("bench.db.lock*")
+    look = FileLock(file, thread_local=False)  # as `in_use` takes it for a moment
+    look.acquire()
+    threading.Timer(0.1, look.release).start()
+    with store.exclusive():
+        assert not look.is_locked
+    store.close()
+
+
 def test_a_killed_run_leaves_no_lock_behind(store, database):
     script = f"""
         import time
@@ -462,8 +477,8 @@ def start_at_once(database):
         Store.open({str(database)!r}).close()
     """
     command = [sys.executable, "-c", textwrap.dedent(script)]
-    pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
-    processes = [subprocess.Popen(command, text=True, **pipes) for _ in range(3)]
+    pipe = subprocess.PIPE
+    processes = [subprocess.Popen(command, text=True, stdin=pipe, stdout=pipe, stderr=pipe) for _ in range(3)]
     for process in processes:
         process.stdout.readline()
     for process in processes:

@@ -39,10 +39,10 @@ def averaged(brdf, theta_in, interval):
 
 def swept(brdf, random):
     readings = []
-    for interval in intervals(segments(SPEC, 30.0), 2.0):
-        value = averaged(brdf, 30.0, interval)
+    for start, stop in intervals(segments(SPEC, 30.0), 2.0):
+        value = averaged(brdf, 30.0, (start, stop))
         noise = np.hypot(0.003 * value, 1e-4)
-        readings.append(Swept(30.0, *interval, value + noise * random.normal(size=2), noise))
+        readings.append(Swept(30.0, start, stop, value + noise * random.normal(size=2), noise))
     return readings
 
 

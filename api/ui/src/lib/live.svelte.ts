@@ -31,10 +31,16 @@ export const live = new Live();
 
 let stream: EventSource | null = null;
 let queueSoon: ReturnType<typeof setTimeout> | null = null;
+/** Numbers of questions, so that an answer that comes late replaces nothing newer. */
+let benchAsked = 0;
+let queueAsked = 0;
+let queueShown = 0;
 
 async function readBench(): Promise<void> {
+  const asked = ++benchAsked;
   try {
-    live.bench = await get<Bench>('/api/instrument');
+    const found = await get<Bench>('/api/instrument');
+    if (asked === benchAsked) live.bench = found;
     live.problem = null;
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
@@ -45,8 +51,12 @@ async function readBench(): Promise<void> {
 }
 
 export async function readQueue(): Promise<void> {
+  const asked = ++queueAsked;
   try {
-    live.queue = (await get<Page<Entry>>('/api/queue?limit=200')).items;
+    const found = await get<Page<Entry>>('/api/queue?limit=200');
+    if (asked < queueShown) return;
+    queueShown = asked;
+    live.queue = found.items;
     live.queueRead = true;
   } catch (error) {
     if (!(error instanceof Problem)) throw error;
@@ -86,7 +96,10 @@ export function follow(): void {
   const on = <K extends keyof EventData>(kind: K, act: (data: EventData[K]) => void): void => {
     stream?.addEventListener(kind, (event) => act(JSON.parse((event as MessageEvent<string>).data)));
   };
-  on('state', (data) => (live.bench = data));
+  on('state', (data) => {
+    benchAsked += 1; // whatever was asked before is older than this
+    live.bench = data;
+  });
   on('spectrum', () => (live.spectra += 1));
   on('point', () => {
     live.points += 1;
