@@ -12,10 +12,10 @@ WANTED := $(shell cat requirements.lock pyproject.toml 2>/dev/null | cksum)
 demo: $(VENV)
 	$(BIN)/goniometer demo
 
-# Three workers keep two cores busy, for tests of devices that do not answer wait in real time.
+# Four workers keep two cores busy, for tests of devices that do not answer wait in real time.
 test: $(VENV)
 	@$(MAKE) --no-print-directory -j 2 check
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # Goals of their own, so that two cores can share them.
 check: style types floors secrets

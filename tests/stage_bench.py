@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,8 @@ NAME = "sample stage"
 COUNTS_PER_DEGREE = 1000.0
 """Of an OWIS stage."""
 HAS_TERMINALS = sys.platform != "win32"
+PATIENCE = 1.0
+"""Real seconds that a driver waits for a reply of a sound device, which may come late on a busy machine."""
 
 S = TypeVar("S", bound=Stage)
 
@@ -86,6 +89,8 @@ class Bench(Generic[S]):
     """A simulated stage, and the driver connected to it.
 
     It hangs on a pseudo-terminal where there is one, unless a `socket` is wanted: pyserial sleeps when it closes that.
+    Drivers wait `timeout` for a reply while there are faults in the script, and from the next `run` or `befall` on at
+    least `PATIENCE` where there are none.
     """
 
     def __init__(
@@ -100,6 +105,7 @@ class Bench(Generic[S]):
         timeout: float = 0.1,
     ) -> None:
         self._timeout = timeout
+        self._driven: list[tuple[S, float]] = []
         self.clock = HeldClock()
         self.axis = Axis(self.clock, start=start, velocity=velocity, acceleration=acceleration, limits=limits)
         self.simulator = family.simulate(self.axis, self.clock)
@@ -117,15 +123,24 @@ class Bench(Generic[S]):
 
     def driver(self, *, timeout: float | None = None, **options: Any) -> S:
         """Another driver for the same device."""
-        return self._family.drive(NAME, self.url, self.clock, timeout=timeout or self._timeout, **options)
+        timeout = timeout or self._timeout
+        stage = self._family.drive(NAME, self.url, self.clock, timeout=timeout, **options)
+        self._driven.append((stage, timeout))
+        return stage
 
     def befall(self, script: str, seed: int = 0) -> None:
         """Let faults befall the requests from now on."""
         self.simulator.script = FaultScript.parse(script, seed)
+        self._give_time()
+
+    def _give_time(self) -> None:
+        for stage, timeout in self._driven:
+            give_time(timeout if self.simulator.script.faults else max(timeout, PATIENCE), stage)
 
     def run(self, scenario: Callable[[S], Awaitable[None]], stage: S | None = None, *, homed: bool = True) -> None:
         """Open a stage, home it, let the scenario happen and close it."""
         stage = stage or self.stage
+        self._give_time()
 
         async def whole() -> None:
             await stage.open()
@@ -143,22 +158,36 @@ class Bench(Generic[S]):
         self.befall("")
         await stage.close()
         await self.clock.sleep(60.0)
-        for _ in range(100):
-            try:
-                await stage.open()
-                break
-            except DriverError:
-                await asyncio.sleep(0.01)
-        else:
-            raise AssertionError("the stage cannot be opened again")
+        await opened(stage)
         if (await stage.state()).phase is not StagePhase.READY:
             await stage.home()
 
 
+def give_time(timeout: float, *stages: Any) -> None:
+    """Let the drivers of stages wait `timeout` real seconds for each reply from now on."""
+    for stage in stages:
+        parts = vars(stage)
+        line = parts.get("_port") or parts["_line"]
+        line._timeout = timeout
+        if (client := getattr(line, "_client", None)) is not None:
+            client.ctx.comm_params.timeout_connect = timeout
+
+
+async def opened(stage: Stage) -> None:
+    """Open a stage as soon as its line is back."""
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            await stage.open()
+            return
+        except DriverError:
+            assert time.monotonic() < deadline, "the stage cannot be opened again"
+            await asyncio.sleep(0.01)
+
+
 async def until(true: Callable[[], bool]) -> None:
     """Wait in real time, and not for ever."""
-    for _ in range(2000):
-        if true():
-            return
+    deadline = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < deadline, "waited in vain"
         await asyncio.sleep(0.001)
-    raise AssertionError("waited in vain")

@@ -107,9 +107,9 @@ def by_sample() -> tuple[dict[str, Slopes], dict[str, Slopes]]:
     for kind, results in (("smooth", smooth), ("micro-roughness", micro)):
         for band, tilts in BANDS.items():
             told = [found.band(tilts) for found in results.values()]
-            lit = [m for m, _, share in told if share > 0.5]
-            if lit:
-                tell(f"{kind}, theta_m {band}: mean slope of Samples 1 to 5", np.mean(lit), _span(lit))
+            means = [m for m, _, share in told if share > 0.5]
+            if means:
+                tell(f"{kind}, theta_m {band}: mean slope of Samples 1 to 5", float(np.mean(means)), _span(means))
     return smooth, micro
 
 

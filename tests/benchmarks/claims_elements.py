@@ -39,8 +39,8 @@ def mean_squares(field: HeightField, s_um: float, apart_um: float, kx: FloatArra
     for row in middles:
         for column in middles:
             there = np.ix_(*(np.arange(c - half, c + half + 1) % size for c in (row, column)))
-            parts = (each[there][near] for each in (heights, tilt_x, tilt_y))
-            total += _squares(x, window, *parts, kx, kz, SIGMA * field.pitch_um)
+            height, along_x, along_y = (each[there][near] for each in (heights, tilt_x, tilt_y))
+            total += _squares(x, window, height, along_x, along_y, kx, kz, SIGMA * field.pitch_um)
     return total / middles.size**2
 
 

@@ -71,6 +71,7 @@ def longest(device: str, happened: int) -> float:
 def requests_of(device: str) -> int:
     """How many requests a day's work takes where nothing goes wrong."""
     rig = make_rig(device, [])
+    rig.give_time()
 
     async def day() -> None:
         await rig.driver.open()
@@ -124,6 +125,7 @@ async def _day(device: str, rig: Rig, result: Strike, warnings: _Warnings) -> No
     # a person has repaired what is broken; the bench does the rest
     rig.simulator.script = FaultScript()
     rig.repair()
+    rig.give_time()
     await _bounded_revival(rig, result)
     await rig.driver.close()
     await rig.driver.close()

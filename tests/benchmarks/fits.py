@@ -147,7 +147,7 @@ def cosine() -> None:
     best, slowest = 0, 0.0
     for name in SLOPES:
         made, found = slopes_of(name)
-        milliseconds, fit = fastest(lambda made=made, found=found: global_fit(made, found))
+        milliseconds, fit = fastest(partial(global_fit, made, found))
         used = found.reliable
         seen = in_plane(made.theta_in[used], made.theta_out[used])
         posed = slope_problem("global", found.slope[used], found.u_slope[used] ** -2, seen)

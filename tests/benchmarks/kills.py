@@ -184,7 +184,7 @@ def campaign_work(file: Path) -> Work:
             finish(self, point, *arguments, **more)
             say(f"{point.id}")
 
-        Store.finish_point = finish_and_say  # type: ignore[method-assign]
+        Store.finish_point = finish_and_say
         store = Store.open(file)
         asyncio.run(_run(store))
         store.close()

@@ -25,6 +25,7 @@ from simulators.devices.clock import SimulatedClock
 from simulators.devices.faults import FaultScript
 from simulators.devices.oriental_az import SimulatedOrientalAZ
 from simulators.devices.qepro import QEProFaults
+from tests.stage_bench import PATIENCE, give_time
 
 TIMEOUT = 0.1
 """Real seconds that a driver waits for a reply."""
@@ -117,7 +118,9 @@ def run(
             laboratory.bench.mount(scan.material)
 
         async def one(report: Callable[[Progress], None]) -> None:
+            give_time(PATIENCE, *instrument.arm.stages)  # nothing befalls what is being opened
             await instrument.open()
+            give_time(TIMEOUT, *instrument.arm.stages)
             try:
                 await run_campaign(store, campaign, instrument, mount, report, lambda _: None)
             finally:

@@ -32,8 +32,8 @@ def advance_to(clock: SimulatedClock, moment: float) -> None:
     _at_once(clock, moment)
 
 
-SimulatedClock.sleep = sleep  # type: ignore[assignment,method-assign]
-SimulatedClock.advance_to = advance_to  # type: ignore[assignment,method-assign]
+SimulatedClock.sleep = sleep  # type: ignore[assignment]  # `clock` instead of `self`
+SimulatedClock.advance_to = advance_to  # type: ignore[assignment]  # `clock` instead of `self`
 
 if __name__ == "__main__":
     main()

@@ -149,9 +149,9 @@ def show(found: list[Way], pictures: Pictures, once: Pictures, variant: str) -> 
             continue
         line, exact = f"{way.name:34}", names.index(way.exact)
         for each in (once, pictures):
-            seen, error = compare(each, exact, i), block_error(each, exact, i)
-            line += f"{seen.mean:8.3f}{seen.u_mean:7.3f}{seen.p95:7.3f}{np.median(error):10.2%}"
-            line += f"{np.percentile(np.abs(error), 99):9.2%}"
+            seen, errors = compare(each, exact, i), block_error(each, exact, i)
+            line += f"{seen.mean:8.3f}{seen.u_mean:7.3f}{seen.p95:7.3f}{np.median(errors):10.2%}"
+            line += f"{np.percentile(np.abs(errors), 99):9.2%}"
         print(f"{line}{way.report.written.error.p99:10.2%}")
     for i, way in enumerate(found):
         if way.plain:

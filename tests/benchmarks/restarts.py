@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -134,11 +135,11 @@ def main() -> None:
             child = start(file)
             killer = threading.Timer(chance.uniform(0.0, LONGEST), os.killpg, (child, signal.SIGKILL))
             try:
-                wait(lambda life=life: len(urls(file)) > life, child)
+                wait(partial(lambda lives: len(urls(file)) > lives, life), child)
                 with httpx.Client(
                     base_url=urls(file)[-1], headers=headers, timeout=PATIENCE, trust_env=False
                 ) as client:
-                    wait(lambda client=client: _answers(client), child)
+                    wait(partial(_answers, client), child)
                     faults += missing(file, confirmed)
                     confirmed += order(client, life, killer.start)
                 killer.join()

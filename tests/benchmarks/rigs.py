@@ -14,7 +14,7 @@ from drivers.stage import Stage
 from simulators.devices.clock import SimulatedClock
 from simulators.devices.motion import Axis
 from simulators.devices.qepro import QEProFaults, SimulatedQEPro
-from tests.stage_bench import FAMILIES, HeldClock
+from tests.stage_bench import FAMILIES, PATIENCE, HeldClock, give_time
 
 NAME = "device under test"
 """Of each driver, and of its threads."""
@@ -46,6 +46,9 @@ class Rig(ABC):
     @abstractmethod
     def repair(self) -> None:
         """Put right what only a person can."""
+
+    def give_time(self) -> None:  # noqa: B027  (what is no line is never late)
+        """Wait for replies as long as a busy machine may need: nothing befalls the device."""
 
     def close(self) -> None:  # noqa: B027  (a device without a thread has nothing to switch off)
         """Switch the simulator off."""
@@ -124,6 +127,10 @@ class StageRig(Rig):
         for name, value in sound.items():
             if hasattr(self.simulator, name):
                 setattr(self.simulator, name, value)
+
+    def give_time(self) -> None:
+        """Wait for replies as long as a busy machine may need."""
+        give_time(PATIENCE, self.driver)
 
     def close(self) -> None:
         """Switch the simulator off."""

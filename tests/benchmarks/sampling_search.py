@@ -85,12 +85,12 @@ def noise(value: FloatArray, model: tuple[float, float]) -> FloatArray:
 def sweep(case: Case, random: np.random.Generator) -> tuple[list[Swept], float]:
     """The pre-scan, and by how many standard deviations of its noise, or of 2 % of the ground, the lobe stands out."""
     readings, clearest = [], 0.0
-    for interval in intervals(segments(SPEC, THETA_IN), SWEEP_STEP):
-        value = averaged(case, THETA_IN, interval)
+    for start, stop in intervals(segments(SPEC, THETA_IN), SWEEP_STEP):
+        value = averaged(case, THETA_IN, (start, stop))
         u = noise(value, SWEEP_NOISE)
         excess = float(np.mean(value / TINT)) - case.ground
         clearest = max(clearest, excess / float(np.hypot(u.mean(), 0.02 / 4 * value.mean())))
-        readings.append(Swept(THETA_IN, *interval, value + u * random.normal(size=value.shape), u))
+        readings.append(Swept(THETA_IN, start, stop, value + u * random.normal(size=value.shape), u))
     return readings, clearest
 
 

@@ -58,7 +58,7 @@ def sector(name: str, truth: Material, seeds: range, beside: Sequence[float] = (
     points = 0
     for seed in seeds:
         random = np.random.default_rng(seed)
-        path = [p.geometry for p in dynamic(truth, SPEC, random)]  # type: ignore[arg-type]
+        path = [p.geometry for p in dynamic(truth, SPEC, random)]
         more = [Geometry(t, side * s - t) for t in THETA_IN for s in beside for side in (-1, 1)]
         path += [g for g in more if abs(g.theta_out) <= LARGEST_ANGLE and g not in path]
         points += len(path)

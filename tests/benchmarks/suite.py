@@ -20,7 +20,7 @@ LONGEST = 900
 def main() -> int:
     """Run them; returns what pytest returns."""
     began = time.monotonic()
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "3", "--dist", "loadfile", "--no-loadscope-reorder"]
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "4", "--dist", "loadfile", "--no-loadscope-reorder"]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     seconds = time.monotonic() - began
     print(done.stdout)

@@ -101,9 +101,9 @@ def print_trend(metals: dict[str, Row], patches: dict[str, Row]) -> None:
     rows = metals | patches
     gain = {name: found.absolute[0] - found.absolute[1] for name, found in rows.items()}
     lost = [f"{name} ({gain[name]:+.3f})" for name in rows if gain[name] <= 0]
-    tell("samples on which the shift model is better", len(rows) - len(lost), f"of {len(rows)}", f"= {len(rows)}")
-    if lost:
-        print(f"No better: {', '.join(lost)} dE00.")
+    not_there = f"no better by dE00: {', '.join(lost)}; a mirror has no shift that could be seen"
+    better = len(rows) - len(lost)
+    tell("samples on which the shift model is better", better, f"of {len(rows)}", f"= {len(rows)}", not_there)
     margins = "; ".join(
         f"{name[-1]}: {gain[name]:.2f} (paper {PAPER[name][0] - PAPER[name][1]:.2f})" for name in metals
     )

@@ -16,6 +16,7 @@ import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from typing import TypeVar
 
@@ -110,8 +111,8 @@ def single_sum(x, h, w, kx, kz):
                     sine, cosine = np.float32(2) * sine * cosine, np.float32(1) - np.float32(2) * sine * sine
                 re += w[row, j] * cosine
                 im += w[row, j] * sine
-            total_re += re
-            total_im += im
+            total_re += float(re)
+            total_im += float(im)
         out[t] = complex(total_re, total_im)
     return out
 
@@ -131,8 +132,9 @@ def sums() -> None:
     print(f"{'fast transform':26}{took:10.2f}{1:8.0f}", end="")
     exact = double_sum(*whole, kx[some], kz[some])
     print(f"{np.abs(fast[some] - exact).max() / np.abs(exact).max():15.1e}")
-    for name, run, arrays in (("double precision", double_sum, whole), ("single precision", single_sum, single)):
-        took_some, found = fastest(lambda run=run, arrays=arrays: run(*arrays, kx[some], kz[some]), 1)
+    sums_by_hand = ("double precision", double_sum, whole), ("single precision", single_sum, single)
+    for name, run, (places, heights, weights) in sums_by_hand:
+        took_some, found = fastest(partial(run, places, heights, weights, kx[some], kz[some]), 1)
         scaled = took_some * kx.size / some.size
         error = np.abs(found - exact).max() / np.abs(exact).max()
         print(f"{name:26}{scaled:10.1f}{scaled / took:8.0f}{error:15.1e}")
@@ -158,11 +160,10 @@ def spectra() -> None:
             begin = time.process_time()
             mean = averaged(field, theta_in, theta_out, WAVELENGTHS, coherence)
             took = time.process_time() - begin
-            took_spectra, brdf = fastest(
-                lambda mean=mean: averaged_brdf(mean, theta_in, theta_out, WAVELENGTHS, conductor=aluminium).brdf,
-                1,
+            took_spectra, computed = fastest(
+                partial(averaged_brdf, mean, theta_in, theta_out, WAVELENGTHS, conductor=aluminium), 1
             )
-            found.append((took, took_spectra, brdf))
+            found.append((took, took_spectra, computed.brdf))
         slope = float(np.diff(coarse.heights_um, axis=1).std())
         lit = found[1][2] > 1e-3
         change = float(np.abs(found[0][2][lit] / found[1][2][lit] - 1).max())

@@ -55,6 +55,9 @@ def test_no_fault_is_taken_for_data_hangs_or_leaks_and_the_device_works_again(
     happened = 0
     for at, times in moments(device, kind, STRIKES, requests[device]):
         struck = strike(device, kind, at, times=times, seed=at)
+        if not struck.happened:  # a busy machine ended the day before
+            assert struck.breaches == []
+            struck = strike(device, kind, at, times=times, seed=at)
         assert struck.breaches == [], f"{kind} at request {at}, {times} times"
         happened += struck.happened
     assert happened > 1

@@ -176,5 +176,9 @@ def test_what_the_camera_does_not_have_or_does_not_do_is_said(nikon: Nikon, tmp_
 
 
 def test_bulb_is_no_exposure_time() -> None:
-    assert nearest_shutter(["Bulb", "Time", "1/60", "0.0125s"], 1 / 60) == ("1/60", pytest.approx(1 / 60))
+    found = nearest_shutter(["Bulb", "Time", "1/60", "0.0125s"], 1 / 60)
+    assert found is not None
+    choice, seconds = found
+    assert choice == "1/60"
+    assert seconds == pytest.approx(1 / 60)
     assert nearest_shutter(["Bulb"], 1.0) is None

@@ -73,7 +73,7 @@ def test_homing_that_never_began_is_not_taken_for_done(bench: Bench[K10CR1]) -> 
             await stage.home()
         assert bench.axis.position() == pytest.approx(20.0, abs=STEP)
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=1.0))
 
 
 def test_a_velocity_is_set_and_one_that_the_mount_does_not_take_is_refused(bench: Bench[K10CR1]) -> None:
@@ -105,7 +105,7 @@ def test_the_mount_tells_the_operator_which_one_it_is(bench: Bench[K10CR1]) -> N
 
 
 @pytest.mark.parametrize(
-    "fault", ["lose-reply", "duplicate", "corrupt", "truncate", "garbage", "split", "merge", "foreign", "delay 0.12 s"]
+    "fault", ["lose-reply", "duplicate", "corrupt", "truncate", "garbage", "split", "merge", "foreign", "delay 0.35 s"]
 )
 def test_one_bad_reply_in_a_while_costs_no_point_and_puts_the_mount_nowhere_else(
     bench: Bench[K10CR1], fault: str
@@ -117,7 +117,7 @@ def test_one_bad_reply_in_a_while_costs_no_point_and_puts_the_mount_nowhere_else
                 assert await stage.move_to(target) == pytest.approx(target, abs=STEP)
                 assert bench.axis.position() == pytest.approx(target, abs=STEP)
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=0.3))
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_move_that_is_lost_on_the_way_is_not_sent_again_and_not_taken_for_an_a
         assert bench.axis.position() == 0.0
         assert await stage.move_to(30.0) == pytest.approx(30.0, abs=STEP)
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=1.0))
 
 
 def test_homing_stops_what_is_under_way_first(bench: Bench[K10CR1]) -> None:

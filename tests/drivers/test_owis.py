@@ -18,7 +18,7 @@ from tests.stage_bench import FAMILIES, HAS_TERMINALS, Bench, until
 
 @pytest.fixture
 def bench() -> Iterator[Bench[OwisPS]]:
-    bench: Bench[OwisPS] = Bench(FAMILIES["OWIS PS"])
+    bench: Bench[OwisPS] = Bench(FAMILIES["OWIS PS"], timeout=0.3)
     yield bench
     bench.simulator.close()
 
@@ -29,7 +29,7 @@ def test_a_ps10_is_the_same_with_one_axis() -> None:
     simulator = SimulatedOwisPS([axis], clock, counts_per_degree=200)
 
     async def scenario() -> None:
-        stage = OwisPS("stage", simulator.start(), clock, counts_per_degree=200, timeout=0.1)
+        stage = OwisPS("stage", simulator.start(), clock, counts_per_degree=200, timeout=0.3)
         await stage.open()
         await stage.home()
         assert await stage.move_to(33.335) == 33.335
@@ -219,7 +219,8 @@ def test_both_stages_of_a_bench_may_hang_on_one_controller(bench: Bench[OwisPS])
         await asyncio.gather(sample.home(), detector.home())
         bench.befall("every 41 lose-reply\nevery 59 foreign")
         for angle in (10.0, 20.0, 30.0):
-            assert await asyncio.gather(sample.move_to(angle), detector.move_to(2 * angle)) == [angle, 2 * angle]
+            angles = await asyncio.gather(sample.move_to(angle), detector.move_to(2 * angle))
+            assert list(angles) == [angle, 2 * angle]
         bench.befall("")
         # the one that leaves takes nothing from the other
         await sample.close()
@@ -235,7 +236,7 @@ def test_both_stages_of_a_bench_may_hang_on_one_controller(bench: Bench[OwisPS])
         for stage in (sample, detector):
             await stage.close()
             await stage.open()
-        assert await asyncio.gather(sample.move_to(40.0), detector.move_to(7.0)) == [40.0, 7.0]
+        assert list(await asyncio.gather(sample.move_to(40.0), detector.move_to(7.0))) == [40.0, 7.0]
         await sample.close()
         await detector.close()
 

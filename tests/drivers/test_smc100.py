@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from drivers.errors import DeviceNotFound, DeviceRefused, DeviceTimeout, DriverError, ProtocolError
 from drivers.smc100 import SMC100
 from simulators.devices.faults import Fault, FaultScript, Kind
-from tests.stage_bench import FAMILIES, Bench
+from tests.stage_bench import FAMILIES, Bench, until
 
 LIMITS = (-10.0, 100.0)
 
@@ -77,7 +77,7 @@ def test_noise_on_the_line_is_no_angle(bench: Bench[SMC100]) -> None:
         with pytest.raises(ProtocolError, match="is no answer to"):
             await stage.position()
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=0.3))
 
 
 LINE_FAULTS = [
@@ -176,7 +176,7 @@ def test_a_command_that_a_stop_overtakes_never_reaches_the_device(bench: Bench[S
         bench.simulator.script = FaultScript([Fault(Kind.LOSE_REPLY, 1)])
         # the question before the move waits for its lost answer in the device's thread, and the move behind it
         waiting = [asyncio.create_task(stage.position()), asyncio.create_task(stage._begin_move(80.0))]
-        await asyncio.sleep(0.03)
+        await until(lambda: bench.simulator.script.requests >= 1)
         await stage.stop()
         with pytest.raises(DeviceRefused, match="was stopped before"):
             await waiting[1]
@@ -184,4 +184,4 @@ def test_a_command_that_a_stop_overtakes_never_reaches_the_device(bench: Bench[S
         assert not bench.axis.moving()
         assert (await stage.move_to(10.0)) == 10.0
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=1.0))

@@ -100,7 +100,7 @@ FACTS = {
 IMPATIENT = 0.2
 """Real seconds that the drivers wait where the line is bad."""
 PATIENT = 0.5
-"""Where it is good: an answer may come late on a busy machine."""
+"""Where few requests are befallen."""
 LASTS = 0.1
 """Real seconds of a fault that lasts."""
 LINE_FAULTS = (
@@ -177,7 +177,8 @@ def test_a_stage_tells_where_it_is_while_it_moves(bench: Bench[Any], facts: Fact
             expected = 10 + 4 * (bench.clock.now() - begin) - 4**2 / (2 * facts.acceleration)
             assert await stage.position() == pytest.approx(expected, abs=0.01)
             state = await stage.state()
-            assert (state.phase, state.position) == (StagePhase.MOVING, pytest.approx(expected, abs=0.01))
+            assert state.phase == StagePhase.MOVING
+            assert state.position == pytest.approx(expected, abs=0.01)
         assert await stage.arrive(50.0, seconds - 8) == pytest.approx(50.0, abs=facts.step)
         assert bench.clock.now() - begin == pytest.approx(seconds, abs=0.2)
         with pytest.raises(DeviceRefused, match="outside its limits"):
@@ -389,7 +390,7 @@ def test_a_power_cycle_at_any_moment_of_a_move_is_noticed_and_homing_mends_it(be
             assert await stage.move_to(30.0) == pytest.approx(30.0, abs=facts.step)
             assert bench.axis.position() == pytest.approx(30.0, abs=facts.step)
 
-    bench.run(scenario)
+    bench.run(scenario, bench.driver(timeout=2.0))  # one that asks again counts its requests otherwise
 
 
 @on("family", WITH_ENCODER)
@@ -523,12 +524,12 @@ def test_a_silent_device_is_a_timeout_and_its_late_reply_is_not_taken_for_the_ne
         bench.befall("from 1 lose-reply")
         with pytest.raises(DeviceTimeout, match="no whole"):
             await stage.position()
-        bench.befall(f"at 1 delay {4 * IMPATIENT:.2f} s")  # after the third attempt
+        bench.befall(f"at 1 delay {4 * PATIENT:.2f} s")  # after the third attempt
         with pytest.raises(DeviceTimeout):
             await stage.state()
         assert await stage.move_to(3.0) == pytest.approx(3.0, abs=facts.step)
 
-    bench.run(scenario, bench.driver(timeout=IMPATIENT))
+    bench.run(scenario)
 
 
 def test_a_question_that_is_asked_again_leaves_a_line_in_the_log(
@@ -542,7 +543,7 @@ def test_a_question_that_is_asked_again_leaves_a_line_in_the_log(
         assert record.levelno == logging.WARNING
         assert "attempt 2 of 3" in record.message
 
-    bench.run(scenario, bench.driver(timeout=0.3))
+    bench.run(scenario, bench.driver(timeout=1.0))
 
 
 def test_replies_that_come_byte_by_byte_are_put_together(bench: Bench[Any], facts: Facts) -> None:

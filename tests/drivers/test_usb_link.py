@@ -117,7 +117,11 @@ def test_no_bytes_around_a_reply_change_it(noise: list[bytes], cuts: list[int], 
         opened, _ = make_link(pipe, monkeypatch)
         read = pipe.read
         sizes = deque(cuts)
-        pipe.read = lambda e, size, t: read(e, min(size, sizes.popleft()) if sizes else size, t)  # type: ignore[method-assign]
+
+        def cut(endpoint: int, size: int, timeout: int) -> bytes:
+            return read(endpoint, min(size, sizes.popleft()) if sizes else size, timeout)
+
+        pipe.read = cut
         try:
             assert opened.ask(QUESTION) == payload
         except DriverError:

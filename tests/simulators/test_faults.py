@@ -148,5 +148,5 @@ def test_device_faults_strike_the_device_each_by_its_name() -> None:
             return lambda: self.struck.append(name)
 
     recorder = Recorder()
-    strike(recorder, [fault(kind) for kind in Kind])  # type: ignore[arg-type]
+    strike(recorder, [fault(kind) for kind in Kind])
     assert recorder.struck == ["refuse", "restart", "jam", "drift", "slow"]

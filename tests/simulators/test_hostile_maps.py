@@ -117,7 +117,7 @@ def test_a_photograph_is_not_larger_than_a_camera_can_take(tmp_path: Path) -> No
     tifffile.imwrite(file, np.zeros((2, 3, 3), dtype=np.uint16), photometric="rgb", metadata=None)
     content = bytearray(file.read_bytes())
     with tifffile.TiffFile(file) as whole:
-        tags = whole.pages[0].tags  # type: ignore[union-attr]
+        tags = whole.pages[0].tags
         for name in ("ImageLength", "ImageWidth", "RowsPerStrip"):
             tag = tags[name]
             kind = "<H" if tag.dtype == 3 else "<I"

@@ -22,7 +22,7 @@ class Client:
     """Somebody who knows the protocol only from that package."""
 
     def __init__(self, url: str) -> None:
-        self._port = serial.serial_for_url(url, baudrate=115200, rtscts=True, timeout=0.2)
+        self._port = serial.serial_for_url(url, baudrate=115200, rtscts=True, timeout=5)
         self._unpacker = thorlabs.Unpacker(self._port, on_error="raise")
 
     def send(self, message: bytes) -> None:

@@ -9,7 +9,7 @@ from simulators.devices.motion import Axis
 
 def make_axis(clock: SimulatedClock, **changes: object) -> Axis:
     settings = {"velocity": 10.0, "acceleration": 20.0, "limits": (-90.0, 180.0)} | changes
-    return Axis(clock, **settings)  # type: ignore[arg-type]
+    return Axis(clock, **settings)
 
 
 def test_a_long_move_takes_the_time_of_a_trapezoid() -> None:

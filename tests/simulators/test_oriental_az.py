@@ -6,6 +6,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.pdu.diag_message import ReturnQueryDataResponse
 
 from simulators.devices.clock import SimulatedClock
 from simulators.devices.faults import FaultScript
@@ -64,7 +65,9 @@ def output(client: Client) -> int:
 
 def position(client: Client) -> int:
     registers = client.read_holding_registers(0xCC, count=2, device_id=1).registers
-    return client.convert_from_registers(registers, client.DATATYPE.INT32)
+    steps = client.convert_from_registers(registers, client.DATATYPE.INT32)
+    assert isinstance(steps, int)
+    return steps
 
 
 def motion(client: Client, steps: int, speed: int = 2000, trigger: int = 1) -> list[int]:
@@ -120,7 +123,9 @@ def test_registers_and_values_that_do_not_exist_are_answered_with_an_exception(c
 
 
 def test_what_is_sent_to_be_echoed_comes_back(client: Client) -> None:
-    assert client.diag_query_data(b"\x12\x34", device_id=1).message == b"\x12\x34"
+    echo = client.diag_query_data(b"\x12\x34", device_id=1)
+    assert isinstance(echo, ReturnQueryDataResponse)
+    assert echo.message == b"\x12\x34"
 
 
 def test_switching_off_and_on_forgets_all_data_but_not_where_the_stage_stands(

@@ -14,7 +14,7 @@ class Terminal:
     """A person at a serial terminal."""
 
     def __init__(self, url: str) -> None:
-        self._port = serial.serial_for_url(url, timeout=0.3)
+        self._port = serial.serial_for_url(url, timeout=5)
 
     def ask(self, question: str) -> str:
         """Send a question and return its answer."""

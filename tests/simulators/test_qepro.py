@@ -58,7 +58,7 @@ def test_seabreeze_reads_the_same_instrument_as_our_driver(clock: SimulatedClock
 
     # seabreeze reads 64 bytes at a time, which only full-speed USB delivers without overflow
     simulator = SimulatedQEPro(Ramp(), clock, serial_number="QEP04242", packet_size=64)
-    sys.modules[f"usb.backend.{seabreeze_backend}"].get_backend = lambda: simulator  # type: ignore[attr-defined]
+    vars(sys.modules[f"usb.backend.{seabreeze_backend}"])["get_backend"] = lambda: simulator
     seabreeze.use("pyseabreeze", pyusb_backend=seabreeze_backend)
     from seabreeze.spectrometers import Spectrometer, list_devices  # noqa: PLC0415
 

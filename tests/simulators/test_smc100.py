@@ -16,11 +16,12 @@ class Terminal:
     """A person at a serial terminal."""
 
     def __init__(self, url: str) -> None:
-        self._port = serial.serial_for_url(url, baudrate=57600, timeout=0.2)
+        self._port = serial.serial_for_url(url, baudrate=57600)
 
-    def type(self, line: str) -> str:
-        """Send one line and return what comes back, "" for nothing."""
+    def type(self, line: str, timeout: float = 5) -> str:
+        """Send one line and return what comes back, "" for nothing within `timeout` seconds."""
         self._port.write(f"{line}\r\n".encode())
+        self._port.timeout = timeout
         if self._answers(line):
             return self._port.read_until(b"\r\n").decode().removesuffix("\r\n")
         # a command has no reply; once a query behind it is answered it has been carried out
@@ -198,7 +199,7 @@ def test_a_script_befalls_the_lines_that_are_typed(clock: SimulatedClock, simula
     terminal = homed(clock, simulator)
     simulator.script = FaultScript.parse("at 2 lose-reply\nat 4 restart")
     assert terminal.type("1TP") == "1TP0.00000"
-    assert terminal.type("1TP") == ""
+    assert terminal.type("1TP", timeout=0.2) == ""
     assert terminal.type("1TS") == "1TS000032"
     assert terminal.type("1TS") == "1TS00000A"
     assert [number for number, _ in simulator.script.happened] == [2, 4]

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def simulated(incident: FloatArray, theta_out: FloatArray, aperture: float = 1.0
     brdf = true_brdf(SAMPLES[name], at[0], at[1], NM, aperture)
     nothing = np.zeros_like(brdf)
     lineage: dict[str, object] = {"simulated": f"formula of {name}"}
-    return computed_dataset(Computed("Formula", *at, NM, brdf, nothing, nothing, aperture, lineage))
+    return computed_dataset(Computed("Formula", at[0], at[1], NM, brdf, nothing, nothing, aperture, lineage))
 
 
 def tabulated(path: Path, dataset: Dataset) -> Tabulated:
@@ -81,8 +82,8 @@ def test_a_stage_that_stands_a_little_below_zero_sees_the_plane_turned_by_half_a
     there = tabulated_brdf(every_five, theta_in, theta_out, NM)
     np.testing.assert_allclose(tabulated_brdf(every_five, -theta_in, -theta_out, NM), there, rtol=1e-6)
     # and nothing jumps where the sign changes
-    beside = (tabulated_brdf(every_five, np.array([t]), np.array([25.0]), NM) for t in (-1e-4, 1e-4))
-    np.testing.assert_allclose(*beside, rtol=1e-4)
+    below, above = (tabulated_brdf(every_five, np.array([t]), np.array([25.0]), NM) for t in (-1e-4, 1e-4))
+    np.testing.assert_allclose(below, above, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["sample-1", "sample-8"])
@@ -157,7 +158,7 @@ def test_another_file_in_the_place_of_a_material_is_noticed_and_a_wrong_one_name
         material(f"file:{tmp_path / 'none.npz'}")
     with np.load(path) as stored:
         arrays = dict(stored)
-    spoilt = {
+    spoilt: dict[str, bytes | dict[str, Any]] = {
         "no .npz file": b"theta_in,theta_out\n",
         "cut off": path.read_bytes()[:900],
         "its format is": {"format": "goniometer material 2"},

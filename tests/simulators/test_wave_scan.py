@@ -74,10 +74,11 @@ def test_half_the_step_changes_nothing_and_a_step_that_is_too_wide_is_seen_to_be
     setup = Setup(np.full(13, 40.0), theta_out, WAVELENGTHS, Coherence(2.0), Kernel.RECIPROCAL, None)
     found = simulated([rough(seed, 48, 0.5) for seed in range(4)], setup)
     study = found.convergence
-    assert study.p95[HALF_STEP] is not None
-    assert study.p95[HALF_STEP] < 1e-3
-    assert study.p95[TWICE_STEP] is not None
-    assert study.p95[TWICE_STEP] > 10 * study.p95[HALF_STEP]
+    half, twice = study.p95[HALF_STEP], study.p95[TWICE_STEP]
+    assert half is not None
+    assert half < 1e-3
+    assert twice is not None
+    assert twice > 10 * half
     assert [figure.what for figure in study.figures if figure.theta_out == 40] == ["f", "m"]
     assert all(figure.converged(HALF_STEP) for figure in study.figures if figure.theta_out > -20)
 

@@ -67,7 +67,7 @@ def connect(counter: Counter, request: pytest.FixtureRequest) -> Iterator[Callab
 
     def connect() -> serial.Serial:
         url = counter.start() if request.param == "tcp" else counter.start_pty()
-        opened.append(serial.serial_for_url(url, timeout=0.5, exclusive=True))
+        opened.append(serial.serial_for_url(url, timeout=5, exclusive=True))
         return opened[-1]
 
     yield connect
@@ -75,11 +75,18 @@ def connect(counter: Counter, request: pytest.FixtureRequest) -> Iterator[Callab
         port.close()
 
 
+def wait_until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
 def until_it_opens(url: str) -> serial.Serial:
     deadline = time.monotonic() + 60
     while True:
         try:
-            return serial.serial_for_url(url, timeout=0.5, exclusive=True)
+            return serial.serial_for_url(url, timeout=5, exclusive=True)
         except serial.SerialException:
             assert time.monotonic() < deadline
             time.sleep(0.01)
@@ -123,7 +130,7 @@ def test_a_merged_reply_waits_for_the_next(counter: Counter, connect: Callable[[
     port.write(b"a\n")
     port.timeout = 0.05
     assert port.read(1) == b""
-    port.timeout = 0.5
+    port.timeout = 5
     port.write(b"b\n")
     assert port.readline() + port.readline() == b"1 a\n2 b\n"
 
@@ -134,6 +141,7 @@ def test_a_stalled_device_neither_answers_nor_acts_until_it_is_over(
     port = connect()
     counter.script = FaultScript.parse("at 1 stall 0.2 s")
     port.write(b"a\nb\nquiet\n")
+    wait_until(lambda: counter.script.requests >= 3)
     time.sleep(0.3)
     port.write(b"c\n")
     assert port.readline() == b"1 c\n"
@@ -146,7 +154,7 @@ def test_an_unplugged_line_breaks_in_mid_reply_and_comes_back_at_the_same_addres
 ) -> None:
     port = connect()
     url = port.portstr
-    counter.script = FaultScript.parse("at 2 unplug 0.2 s")
+    counter.script = FaultScript.parse("at 2 unplug 1 s")
     port.write(b"a\n")
     assert port.readline() == b"1 a\n"
     port.write(b"hello\nnever\n")
@@ -222,6 +230,6 @@ def test_a_client_that_goes_away_in_mid_request_disturbs_nobody(counter: Counter
     address = ("127.0.0.1", int(counter.start().rpartition(":")[2]))
     with socket.create_connection(address) as gone:
         gone.sendall(b"half a requ")
-    with socket.create_connection(address, timeout=1.0) as client:
+    with socket.create_connection(address, timeout=5) as client:
         client.sendall(b"a\n")
         assert client.recv(100) == b"1 a\n"
