@@ -185,9 +185,10 @@ def test_a_choice_shows_its_ladder_and_the_pair_of_pictures(service: Served, loo
     page.goto(f"{service.url}/analysis/{number}")
     expect(page.get_by_role("row", name=re.compile("^fails Lambert Far too matt"))).to_be_visible()
     expect(page.get_by_role("row", name=re.compile("^meets the tolerance Cook-Torrance")).first).to_be_visible()
-    page.wait_for_function("[...document.images].every(each => each.complete)")
-    seen = page.locator("img").evaluate_all("all => all.map(each => each.naturalWidth)")
-    assert seen == [8, 8, 8, 8, 8], "both, one over the other, each alone, and the difference"
+    pictures = page.locator("img")
+    expect(pictures, "both, one over the other, each alone, and the difference").to_have_count(5)
+    for which in range(5):
+        expect(pictures.nth(which)).to_have_js_property("naturalWidth", 8)
     looking.look("choice")
 
 
