@@ -320,6 +320,13 @@ def active_scan(store: Store, bench: str | None = None) -> Scan:
     }
     active = {each: scan for each, scan in found.items() if bench in {None, each} and store.in_use(each)}
     if not active:
+        benches = {store.bench, *store.benches().values()} if bench is None else {bench}
+        used = ", ".join(sorted(each for each in benches if store.in_use(each)))
+        if used:
+            raise NotInStore(
+                f"No scan is under way just now on {used}, which is in use by a service that measures nothing, or by a "
+                f"run that is between two scans or makes its fits; if it is between two, try again in a moment."
+            )
         raise NotInStore("Nothing is running on this database; start a campaign with: goniometer run CAMPAIGN.")
     if len(active) > 1:
         raise InputError(f"Something is running on the benches {', '.join(sorted(active))}; name one with --bench")

@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from goniometer.storage.store import Store
+
 PATIENCE = 600.0
 """Seconds after which a process that should have got somewhere is called stuck."""
 
@@ -146,6 +148,10 @@ def test_pause_resume_and_abort_reach_a_run_in_another_process_and_nothing_is_lo
     refused = cli("pause", cwd=folder)
     assert refused.returncode == 2  # nothing runs any more
     assert "Nothing is running" in refused.stderr
+    with closing(Store.open(folder / "goniometer.db")) as store, store.exclusive():
+        refused = cli("pause", cwd=folder)
+        assert refused.returncode == 2
+        assert "No scan is under way just now on bench, which is in use" in refused.stderr
     with running(folder, "long.yaml") as process:
         wait_for(lambda: count(folder, DONE) > kept)
 
