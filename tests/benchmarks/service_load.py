@@ -46,7 +46,11 @@ COMES, OTHER = f"{LOADED}, a dataset comes", "another program instead"
 PATHS = ("/api/instrument", "/api/instrument", "/api/queue", "/api/scans", "/api/scans/1/points?limit=50")
 SINGLY = 400
 """Requests of each path from which its cost is known."""
-CAMPAIGN = LONG | {"samples": [{"name": "Sample 1", "material": "sample-1", "repeats": 20}]}
+CAMPAIGN = LONG | {
+    "samples": [{"name": "Sample 1", "material": "sample-1"}],
+    "incident": {"start": 10, "stop": 80, "step": 1},
+}
+"""One scan that outlasts all turns: the fits of one that ends would slow some turns and not others."""
 
 
 @dataclass(frozen=True)
