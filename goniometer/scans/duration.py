@@ -54,12 +54,24 @@ class Visit:
     """Seconds beyond its moves, that integration, and the darks, stray light and monitors before it."""
 
 
+def latest(exposures: Sequence[ExposureTime]) -> Sequence[ExposureTime]:
+    """Those of `exposures` that make the `LATEST` latest visits, and of the point from where the arm came to these."""
+    points: set[int] = set()
+    for i in reversed(range(len(exposures))):
+        point = exposures[i].point_id
+        if point is not None and point not in points:
+            if len(points) > LATEST:
+                return exposures[i + 1 :]
+            points.add(point)
+    return exposures
+
+
 def visits(points: Sequence[Point], exposures: Sequence[ExposureTime], motion: Motion) -> list[Visit]:
     """What the points of a scan took, in the order in which they were measured, on a bench that moves like `motion`.
 
-    `exposures` are all of the scan, in the order in which they were written. Left out are points of which nobody knows
-    from where the arm came, as the first one of a session, those that were tried more than once, and the first one
-    after a sweep, which takes longer than its spectra.
+    `exposures` are all of the scan or the latest of them, in the order in which they were written. Left out are points
+    of which nobody knows from where the arm came, as the first one of a session, those that were tried more than once,
+    and the first one after a sweep, which takes longer than its spectra.
     """
     measured = {point.id: point for point in points if point.status == "done"}
     integrated: dict[int, float] = {}
@@ -165,14 +177,13 @@ def remaining(
     foreseen, are like those of the batch: the plan goes on where it is. The limits are those of the number of points,
     and two standard deviations of the exposures, which err alike at one incident angle.
     """
-    latest = seen[-LATEST:]
-    exposure = np.array([visit.exposure for visit in latest])
-    places = _places([visit.geometry for visit in latest])
+    exposure = np.array([visit.exposure for visit in seen])
+    places = _places([visit.geometry for visit in seen])
     each = exposure[_distances(_places(batch), places).argmin(axis=1)]
     apart = _distances(places, places)
     np.fill_diagonal(apart, inf)
     error = float(np.sqrt(np.mean((exposure - exposure[apart.argmin(axis=1)]) ** 2)))
-    dead = dead_time(latest) or 0.0
+    dead = dead_time(seen) or 0.0
     first = len(batch) - pending
     on_the_way, typical = sum(moving[first:]), sum(moving) / len(moving)
     groups = len({geometry.theta_in for geometry in batch})
@@ -188,7 +199,7 @@ def remaining(
 
 def dead_time(seen: Sequence[Visit]) -> float | None:
     """Mean seconds at a point beyond its moves and integration; None where too few have told."""
-    return max(float(np.mean([visit.dead for visit in seen[-LATEST:]])), 0.0) if len(seen) >= FEWEST else None
+    return max(float(np.mean([visit.dead for visit in seen])), 0.0) if len(seen) >= FEWEST else None
 
 
 def _places(path: Sequence[Geometry]) -> FloatArray:

@@ -8,7 +8,7 @@ from goniometer.bench.route import Motion
 from goniometer.campaigns.campaign import Integration
 from goniometer.geometry import Geometry
 from goniometer.scans.auxiliary import Auxiliary
-from goniometer.scans.duration import FEWEST, Foreseen, Visit, dead_time, expected, remaining, visits
+from goniometer.scans.duration import FEWEST, Foreseen, Visit, dead_time, expected, latest, remaining, visits
 from goniometer.storage.records import Expected, ExposureTime
 from goniometer.storage.store import Store
 
@@ -56,8 +56,10 @@ class Estimate:
         if not pending:
             return
         last = self._exposures[-1].id if self._exposures else 0
-        self._exposures += self._store.exposure_times(self._scan_id, last)
-        points = self._store.points(self._scan_id)
+        # of no more than the latest, or each point of a long scan would take longer than the one before
+        self._exposures = [*latest([*self._exposures, *self._store.exposure_times(self._scan_id, last)])]
+        seen = {each.point_id for each in self._exposures if each.point_id is not None}
+        points = self._store.points(self._scan_id, seen)
         self._visits = visits(points, self._exposures, self._motion)
         path = self._batch[len(self._batch) - pending :]
         if len(self._visits) >= FEWEST:
@@ -68,6 +70,6 @@ class Estimate:
             time = Expected(time.seconds * more[0], time.low * more[1], time.high * more[2])
         time += auxiliary.to_come(path, time)
         if self._budget is not None:
-            left = max(self._budget - sum(point.seconds for point in points), 0.0)
+            left = max(self._budget - self._store.bench_seconds(self._scan_id), 0.0)
             time = Expected(*(min(each, left) for each in astuple(time)))
         self.remaining = time

@@ -44,10 +44,18 @@ class Store(Campaigns):
                 ],
             )
 
-    def points(self, scan_id: int) -> list[Point]:
-        """All points of a scan, in the order in which the plan asked for them."""
+    def points(self, scan_id: int, only: Collection[int] | None = None) -> list[Point]:
+        """All points of a scan, or those that have `only` these ids, in the order in which the plan asked for them."""
         query = select(tables.points).where(tables.points.c.scan_id == scan_id).order_by(tables.points.c.number)
+        if only is not None:
+            query = query.where(tables.points.c.id.in_(only))
         return [to_point(row) for row in self.rows(query)]
+
+    def bench_seconds(self, scan_id: int) -> float:
+        """Bench time that all points of a scan have taken, seconds."""
+        here = tables.points.c
+        total = select(func.coalesce(func.sum(here.seconds), 0.0).label("total")).where(here.scan_id == scan_id)
+        return float(self.rows(total)[0].total)
 
     def start_point(self, point_id: int, expected_points: int | None = None, remaining: Expected | None = None) -> None:
         """Note that a point is being measured, that this is one more attempt, and what is foreseen of its scan."""

@@ -10,6 +10,7 @@ import pytest
 from goniometer.bench.route import Motion, StageMotion, travel
 from goniometer.campaigns.campaign import Campaign, Integration, Monitor, Sample
 from goniometer.geometry import Geometry
+from goniometer.scans import duration
 from goniometer.scans.duration import (
     DARKS,
     DEAD_TIME,
@@ -19,6 +20,7 @@ from goniometer.scans.duration import (
     besides,
     dead_time,
     expected,
+    latest,
     remaining,
     unknown_darks,
     visits,
@@ -117,6 +119,16 @@ def test_nothing_is_learnt_from_a_point_after_a_fault_a_restart_or_a_sweep():
     assert [v.geometry for v in visits(points, swept, MOTION)] == [PATH[1], *PATH[3:]]
     first, second = stored(seconds[:3]), stored(seconds[3:], session="b", start=3)
     assert len(visits(first[0] + second[0], first[1] + second[1], MOTION)) == 2 + 2
+
+
+def test_the_latest_visits_are_the_same_without_the_exposures_of_older_ones(monkeypatch):
+    monkeypatch.setattr(duration, "LATEST", 3)
+    seconds = [1 + 0.1 * i + m for i, m in enumerate([0.0, *(MOTION.seconds(a, b) for a, b in pairwise(PATH))])]
+    points, exposures = stored(seconds, besides=[[], [(PATH[3], 1.0)], [], [], [(None, 2.0)], []])
+    found = latest(exposures)
+    assert {each.point_id for each in found} == {None, 3, 4, 5, 6}
+    assert visits(points, found, MOTION) == visits(points, exposures, MOTION)[-3:]
+    assert latest(exposures[:7]) == exposures[:7]
 
 
 def test_points_to_come_are_like_those_near_them_and_as_uncertain_as_neighbours_are():
