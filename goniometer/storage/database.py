@@ -344,19 +344,22 @@ def _address(where: str) -> URL:
 def _configure_sqlite(connection: Any, _: object) -> None:
     """Keep what is committed through a power cut, let others read meanwhile, and check references."""
     cursor = connection.cursor()
-    # the first matters before there is any table: the room that an archive leaves can be given back to the disk
-    settings = ("auto_vacuum=INCREMENTAL", f"busy_timeout={1000 * BUSY}", "journal_mode=WAL", "synchronous=FULL")
     end = time.monotonic() + BUSY
-    for pragma in (*settings, "foreign_keys=ON"):
+
+    def ask(pragma: str) -> Any:
         while True:
             try:
-                cursor.execute(f"PRAGMA {pragma}")
-                break
+                return cursor.execute(f"PRAGMA {pragma}").fetchone()
             except sqlite3.OperationalError as error:
                 # of several that open a new file at once, SQLite lets none wait for who changes its journal
                 if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end:
                     raise
                 time.sleep(0.01)
+
+    if ask("page_count") == (0,):  # in a file that has something this would change nothing, but wait for who writes
+        ask("auto_vacuum=INCREMENTAL")  # the room that an archive leaves can be given back to the disk
+    for setting in (f"busy_timeout={1000 * BUSY}", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+        ask(setting)
     cursor.close()
 
 

@@ -9,7 +9,7 @@ import sys
 import textwrap
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 
 import numpy as np
@@ -395,6 +395,17 @@ def test_who_looks_whether_a_database_is_in_use_keeps_no_run_from_beginning(tmp_
     with store.exclusive():
         assert not look.is_locked
     store.close()
+
+
+def test_who_only_reads_is_let_in_while_another_program_writes(tmp_path):
+    file = tmp_path / "bench.db"
+    Store.open(file).close()
+    with closing(sqlite3.connect(file, isolation_level=None)) as other:
+        assert other.execute("PRAGMA auto_vacuum").fetchone() == (2,), "incremental"
+        other.execute("BEGIN IMMEDIATE")
+        store = Store.open(file)
+        assert store.campaigns() == {}
+        store.close()
 
 
 def test_a_killed_run_leaves_no_lock_behind(store, database):
